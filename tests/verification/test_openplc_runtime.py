@@ -1,0 +1,325 @@
+"""The blocks for OpenPLC in its own runtime, under its scheduler, with a live bridge and a ROS node over DDS.
+
+``ROSPLC_OPENPLC`` names a checkout of OpenPLC Runtime 4.1 whose ``build/plc_main`` was built,
+``ROSPLC_STRUCPP`` one of STruC++; no registry has them. The runtime's socket is in /run/runtime: no other
+runtime may run on the machine meanwhile.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import rosplc
+from rosplc.codec import Codec, Wire
+from rosplc.config.resolve import Project, load_project
+from rosplc.demo.plan import FreeDomain
+from rosplc.ros import Qos, open_backend
+from rosplc.shm import Namespace
+from tests.e2e.cell import Bridge
+from tests.lib.waiting import wait_for
+from tests.verification.crossing import random_record
+from tests.verification.test_openplc import KINDS, PART
+
+pytestmark = [
+    pytest.mark.needs(variable="ROSPLC_OPENPLC"),
+    pytest.mark.needs(variable="ROSPLC_STRUCPP"),
+    pytest.mark.serial,
+    pytest.mark.timeout(600),
+]
+RUN = Path("/run/runtime")
+QOS = Qos(reliability="reliable", durability="volatile", depth=200)
+# Two tasks; in the slower one the blocks and the message are retained.
+PROGRAM = """PROGRAM Fast
+VAR
+    there : kinds_All_Read;
+    back : kinds_All_Write;
+    more : BOOL;
+END_VAR
+there(sTopic := '/there', xInOrder := TRUE);
+more := there.xNew;
+WHILE more DO
+    back.msg := there.msg;
+    back(sTopic := '/back', xEnable := TRUE);
+    more := there.Next();
+END_WHILE;
+back(sTopic := '/back', xEnable := FALSE);
+END_PROGRAM
+PROGRAM Slow
+VAR RETAIN
+    there : kinds_All_Read;
+    back : kinds_All_Write;
+END_VAR
+VAR
+    more : BOOL;
+END_VAR
+there(sTopic := '/slow_there', xInOrder := TRUE, uiMaxPerScan := 64);
+more := there.xNew;
+WHILE more DO
+    back.msg := there.msg;
+    back(sTopic := '/slow_back', xEnable := TRUE);
+    more := there.Next();
+END_WHILE;
+back(sTopic := '/slow_back', xEnable := FALSE);
+END_PROGRAM
+CONFIGURATION Config0
+  RESOURCE Res0 ON PLC
+    TASK fast(INTERVAL := T#10ms, PRIORITY := 2);
+    TASK slow(INTERVAL := T#50ms, PRIORITY := 1);
+    PROGRAM instance0 WITH fast : Fast;
+    PROGRAM instance1 WITH slow : Slow;
+  END_RESOURCE
+END_CONFIGURATION
+"""
+COMPILE = """
+import { readFileSync, writeFileSync } from "fs";
+const [library, source, folder] = process.argv.slice(1);
+const { compile } = await import(library);
+const made = compile(readFileSync(source, "utf8"), { headerFileName: "generated.hpp" });
+if (!made.success) { console.error(JSON.stringify(made.errors)); process.exit(1); }
+writeFileSync(folder + "/generated.hpp", made.headerCode);
+writeFileSync(folder + "/generated.cpp", made.cppCode);
+writeFileSync(folder + "/generated_debug.cpp", made.debugTableCpp);
+writeFileSync(folder + "/defines.h", '#define PROGRAM_MD5 "00000000000000000000000000000000"');
+"""
+
+
+class Runtime:
+    """OpenPLC's runtime with a program, in a folder of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.log = folder / "runtime.log"
+        installed = Path(os.environ["ROSPLC_OPENPLC"])
+        self._main = installed / "build" / "plc_main"
+        for name in ("scripts", "core/src", "core/strucpp_runtime"):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).symlink_to(installed / name)
+        (folder / "plugins.conf").write_text("")
+        (folder / "build").mkdir()
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def load(self, project: Project, program: str, fault: Path | None = None) -> None:
+        """Build a program; with ``fault`` a copy of a message breaks off half-way once that file is there."""
+        strucpp = Path(os.environ["ROSPLC_STRUCPP"])
+        plc, generated = self.folder / "plc", self.folder / "core" / "generated"
+        rosplc.generate(project, plc, plc="openplc")
+        shutil.copytree(plc / "generated", generated)
+        (generated / "strucpp_runtime").mkdir()
+        (generated / "strucpp_runtime" / "include").symlink_to(strucpp / "src/runtime/include")
+        (plc / "all.st").write_text((plc / "rosplc.st").read_text() + program)
+        library, source = str(strucpp / "dist/index.js"), str(plc / "all.st")
+        self._run("node", "--input-type=module", "-e", COMPILE, library, source, str(generated))
+        if fault is not None:
+            blocks = generated / "rosplc_blocks.cpp"
+            text = blocks.read_text()
+            half = re.compile(r"(void put\(uint8_t \*to, const KINDS_ALL &from\)\n\{\n(?:.*\n){12})")
+            broken = f'if (!unlink("{fault}")) raise(SIGSEGV);'
+            text, count = half.subn(rf"\1    {broken}\n", text)
+            assert count == 1
+            blocks.write_text(f"#include <signal.h>\n#include <unistd.h>\n{text}")
+        self._run("bash", "scripts/compile.sh")
+        (self.folder / "build" / "new_libplc.so").rename(self.folder / "build" / "libplc_1.so")
+
+    def _run(self, *command: str) -> None:
+        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    def start(self) -> None:
+        with self.log.open("a") as log:
+            self._process = subprocess.Popen(
+                [str(self._main), "--print-logs"], cwd=self.folder, stdout=log, stderr=log
+            )
+        wait_for(lambda: "RUNNING" in self.ask("STATUS"), "the runtime runs")
+
+    def kill(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def ask(self, command: str) -> str:
+        """Return the runtime's answer; empty if there is none."""
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(5)
+            try:
+                connection.connect(str(RUN / "plc_runtime.socket"))
+                connection.sendall(f"{command}\n".encode())
+                return connection.recv(4096).decode()
+            except OSError:
+                return ""
+
+    def become(self, command: str, state: str) -> None:
+        """Give a command until it is taken, and wait for the state."""
+        wait_for(lambda: f"{command}:OK" in self.ask(command), f"{command} is taken")
+        wait_for(lambda: state in self.ask("STATUS"), state)
+
+
+class Ros:
+    """A ROS node that sends random messages and compares what comes back."""
+
+    def __init__(self, project: Project, domain: int) -> None:
+        self._node = open_backend("dds", project.store, "peer", domain=domain)
+        self._draw = random.Random(15)
+        self._layout = project.topics[0].layout
+        self._codec = Codec(self._layout, Wire.CDR)
+        self.heard: dict[str, list[bytes]] = {"": [], "slow_": []}
+        self.sent: dict[str, list[bytes]] = {"": [], "slow_": []}
+        self._out = {}
+        for way, heard in self.heard.items():
+            self._out[way] = self._node.advertise(f"/{way}there", "kinds/msg/All", QOS)
+
+            def take(payload: bytes, *_: object, heard: list[bytes] = heard) -> None:
+                heard.append(bytes(payload))
+
+            self._node.subscribe(f"/{way}back", "kinds/msg/All", QOS, take)
+
+    def matched(self) -> bool:
+        return all(out.matched for out in self._out.values())
+
+    def send(self, way: str) -> bytes:
+        wire = self._codec.encode(random_record(self._layout, self._draw))
+        self._out[way].write(wire)
+        self.sent[way].append(wire)
+        return wire
+
+    def until_back(self) -> None:
+        """Send on both ways until a message has come back on each."""
+        for way in self.heard:
+            begun = len(self.sent[way])
+
+            def again(way: str = way, begun: int = begun) -> bool:
+                self.send(way)
+                time.sleep(0.02)
+                return bool(set(self.sent[way][begun:]) & set(self.heard[way]))
+
+            wait_for(again, f"/{way}back")
+
+    def whole(self, count: int) -> None:
+        """Have ``count`` messages cross each way, one every 5 ms, and all come back in order."""
+        begun = {way: len(self.sent[way]) for way in self.sent}
+        for _ in range(count):
+            for way in self.sent:
+                self.send(way)
+            time.sleep(0.005)
+        for way, heard in self.heard.items():
+            last = self.sent[way][-1]
+            wait_for(lambda heard=heard, last=last: last in heard, f"the last of /{way}back")
+            sent = self.sent[way][begun[way] :]
+            assert heard[heard.index(sent[0]) :] == sent
+
+    def nothing_else(self) -> str:
+        """Check that all that came back was sent, in order and once; say how many were lost."""
+        lost = 0
+        for way, heard in self.heard.items():
+            place = {wire: number for number, wire in enumerate(self.sent[way])}
+            numbers = [place[wire] for wire in heard]  # a KeyError is a wrong message
+            assert numbers == sorted(set(numbers)), way
+            lost += len(place) - len(numbers)
+        return f"{sum(map(len, self.sent.values()))} sent, {lost} lost"
+
+    def close(self) -> None:
+        self._node.close()
+
+
+class Cell:
+    """The runtime, a bridge and a ROS node."""
+
+    def __init__(self, folder: Path, prefix: str, domain: int) -> None:
+        package = folder / "kinds" / "msg"
+        package.mkdir(parents=True)
+        (package / "Part.msg").write_text(PART)
+        (package / "All.msg").write_text(KINDS)
+        (folder / "kinds" / "package.xml").write_text("<package><name>kinds</name></package>")
+        about = "type: kinds/msg/All, slots: 64, limits: {string: 20, sequence: 3, long: 200, 'longs[]': 150}"
+        self.path = folder / "rosplc.yaml"
+        self.path.write_text(
+            f"prefix: {prefix}\ntypes: {{paths: [kinds]}}\nros: {{backend: dds, domain: {domain}}}\ntopics:\n"
+            + "".join(
+                f"  /{way}{name}: {{{about}, to: {to}, qos: {{depth: 200}}}}\n"
+                for way in ("", "slow_")
+                for name, to in (("there", "plc"), ("back", "ros"))
+            )
+        )
+        self.project = load_project(self.path)
+        (folder / "runtime").mkdir()
+        self.runtime = Runtime(folder / "runtime")
+        self.bridge = Bridge(self.path, os.environ)
+        self.ros = Ros(self.project, domain)
+        self.fault = folder / "fault"
+
+    def begin(self, fault: bool = False) -> None:
+        self.runtime.load(self.project, PROGRAM, self.fault if fault else None)
+        self.runtime.start()
+        wait_for(self.ros.matched, "the bridge is seen")
+        self.ros.until_back()
+
+    def close(self) -> None:
+        self.runtime.kill()
+        self.bridge.kill()
+        self.ros.close()
+
+
+@pytest.fixture
+def cell(tmp_path: Path, shm_namespace: Namespace) -> Iterator[Cell]:
+    """Give a cell of three programs; the runtime's is still to be loaded."""
+    RUN.mkdir(exist_ok=True)
+    domain = FreeDomain()
+    made = Cell(tmp_path, shm_namespace.prefix, domain.number)
+    yield made
+    made.close()
+    domain.close()
+
+
+def test_messages_cross_ten_starts(cell: Cell) -> None:
+    """Every kind of field crosses in both directions in two tasks; ten times the program stops and starts."""
+    cell.begin()
+    for _ in range(10):
+        cell.ros.whole(50)
+        cell.runtime.become("STOP", "STOPPED")
+        cell.runtime.become("START", "RUNNING")
+        cell.ros.until_back()
+    cell.ros.whole(50)
+    print(cell.ros.nothing_else())
+
+
+def test_a_fault_in_mid_copy(cell: Cell) -> None:
+    """A task that a fault ends half-way through a message shows nobody half a message, and starts again."""
+    cell.begin(fault=True)
+    for _ in range(3):
+        cell.ros.whole(20)
+        cell.fault.touch()
+        wait_for(lambda: cell.ros.send("") and "ERROR" in cell.runtime.ask("STATUS"), "the fault")
+        assert not cell.fault.exists()
+        cell.runtime.become("START", "RUNNING")
+        cell.ros.until_back()
+    cell.ros.whole(20)
+    print(cell.ros.nothing_else())
+
+
+@pytest.mark.parametrize("who", ["runtime", "bridge"])
+def test_either_side_is_killed(who: str, cell: Cell) -> None:
+    """After SIGKILL and a new start messages cross as before; none comes wrong, twice or out of order."""
+    cell.begin()
+    for _ in range(3):
+        cell.ros.whole(20)
+        cell.ros.send("")
+        if who == "runtime":
+            cell.runtime.kill()
+            cell.runtime.start()
+        else:
+            cell.bridge.kill()
+            cell.bridge = Bridge(cell.path, os.environ)
+            wait_for(cell.ros.matched, "the bridge is seen")
+        cell.ros.until_back()
+    cell.ros.whole(20)
+    print(cell.ros.nothing_else())
