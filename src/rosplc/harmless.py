@@ -7,7 +7,7 @@ import logging
 import sys
 from collections.abc import Iterable
 
-__all__ = ["harmless", "in_bytes", "log_to_stderr", "nearest", "one_line", "plural", "shorten"]
+__all__ = ["harmless", "in_bytes", "listed", "log_to_stderr", "nearest", "one_line", "plural", "shorten"]
 
 
 def harmless(text: str) -> str:
@@ -49,6 +49,13 @@ def nearest(word: str, known: Iterable[str]) -> str:
         return below[0]
     near = difflib.get_close_matches(wanted, plain, 1, cutoff=0.6)
     return plain[near[0]] if near else ""
+
+
+def listed(items: Iterable[object], most: int = 4) -> str:
+    """Return the first few of many things, and how many more there are."""
+    texts = [str(item) for item in items]
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return ", ".join(texts[:most]) + more
 
 
 def in_bytes(count: int) -> str:

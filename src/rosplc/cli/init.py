@@ -271,21 +271,13 @@ def _facts(
 
 def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
     """Ask what to carry, and which way; the answers are wishes as from the command line."""
-    from rosplc.errors import RosplcError
-    from rosplc.init.propose import Wish, direction, is_of_ros_itself
-    from rosplc.model.parse import full_name
+    from rosplc.init.propose import Wish, direction, is_of_ros_itself, type_called
 
     def names(answer: str) -> list[str]:
         if answer.strip() == "all":
             return [name for name in topics if not is_of_ros_itself(name)]
         parts = answer.replace(",", " ").split()
         return list(dict.fromkeys(name for part in parts for name in _picked(part, list(topics))))
-
-    def type_name(answer: str) -> str:
-        try:
-            return full_name(answer)
-        except RosplcError as error:
-            raise ValueError(error.what) from None
 
     def way(answer: str) -> Literal["plc", "ros"] | None:
         ways: dict[str, Literal["plc", "ros"] | None] = {"plc": "plc", "ros": "ros", "none": None}
@@ -299,7 +291,7 @@ def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
         topic, kind = topics[name], None
         if len(topic.types) != 1:
             say(f"{name}: {'nobody tells its type' if not topic.types else ', '.join(topic.types)}")
-            kind = _asked("  Its type", topic.types[0] if topic.types else None, type_name)
+            kind = _asked("  Its type", topic.types[0] if topic.types else None, type_called)
         proposed, why = direction(topic)
         say(f"{name}: {why}.")
         if to := _asked("  Carry it to (plc/ros/none)", proposed, way):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import time
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
@@ -10,16 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ConfigError, SetupError
+from rosplc.harmless import listed
 
 if TYPE_CHECKING:
     from rosplc.monitor import Picture, Watch
     from rosplc.shm import Namespace
 
 _DEFAULT = Path("rosplc.yaml")
-_NAMED = 4
-_LOOK_NS = 100_000_000
+_LOOK_S = 0.1
 
 ConfigFile = Annotated[
     Path | None, typer.Argument(help="The configuration file; rosplc.yaml in this folder by default.")
@@ -121,9 +121,9 @@ def nothing_there(prefixes: Collection[str], directory: str) -> str:
     others = sorted({state.prefix for state in find_objects(directory, seconds=0.0)}) if prefixes else []
     if not others:
         return "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
-    named = ", ".join(others[:_NAMED]) + (f" and {len(others) - _NAMED} more" if len(others) > _NAMED else "")
     asked = ", ".join(sorted(prefixes))
-    return f"There is no channel of prefix {asked} on this machine; there are channels of prefix {named}."
+    there = f"there are channels of prefix {listed(others)}"
+    return f"There is no channel of prefix {asked} on this machine; {there}."
 
 
 def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str, directory: str) -> Watch:
@@ -142,17 +142,17 @@ def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str,
     return Watch(prefix or expected.prefixes or None, directory=directory, expected=expected, calls=True)
 
 
-def settled(watch: Watch, least: float, most: float, clock: Clock = SYSTEM) -> Picture:
+def settled(watch: Watch, least: float, most: float) -> Picture:
     """Look until it is known of every side whether it is alive: at least and at most so many seconds.
 
     Raises ChannelError SHM123 if the directory cannot be listed.
     """
     from rosplc.monitor import State
 
-    began = clock.monotonic_ns()
+    began = time.monotonic()
     while True:
         picture = watch.look()
-        passed = (clock.monotonic_ns() - began) / 1e9
+        passed = time.monotonic() - began
         looking = any(
             view.state is State.UNKNOWN
             or (view.state is State.NO_PLC and view.bridge_alive is None)  # the missing PLC is known first
@@ -161,4 +161,4 @@ def settled(watch: Watch, least: float, most: float, clock: Clock = SYSTEM) -> P
         )
         if not picture.channels or passed > most or (passed > least and not looking):
             return picture
-        clock.sleep(_LOOK_NS)
+        time.sleep(_LOOK_S)

@@ -220,7 +220,7 @@ def _view(topic: str, prefix: str, directory: str) -> ChannelView | None:
 
 
 def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: str) -> ChannelError:
-    """Return the error, naming the prefixes under which the topic does exist."""
+    """Return the error, naming prefixes under which the topic exists, or a plain memory of its name."""
     from rosplc.monitor import find_objects
 
     if error.code != "SHM101":
@@ -233,19 +233,14 @@ def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: s
         }
     )
     if not others:
-        return _with_classic_hint(error, topic)
+        name = topic[1:].replace("/", ".")
+        if not name or "/" in name or not (Path("/dev/shm") / name).is_file():
+            return error
+        what = f"{topic} has no channel, but there is a memory /dev/shm/{name}, perhaps of a classic topic"
+        remedy = "Such a memory cannot describe itself: name its configuration with --config FILE."
+        return ChannelError(error.code, what, where=error.where, remedy=remedy)
     what = f"no channel {topic} with the prefix {prefix or 'rosplc'}"
     remedy = f"There is one with the prefix {', '.join(others)}: add --prefix {others[0]}."
-    return ChannelError(error.code, what, where=error.where, remedy=remedy)
-
-
-def _with_classic_hint(error: ChannelError, topic: str) -> ChannelError:
-    """Return the error, naming a plain memory that has the topic's name."""
-    name = topic[1:].replace("/", ".")
-    if not name or "/" in name or not (Path("/dev/shm") / name).is_file():
-        return error
-    what = f"{topic} has no channel, but there is a memory /dev/shm/{name}, perhaps of a classic topic"
-    remedy = "Such a memory cannot describe itself: name its configuration with --config FILE."
     return ChannelError(error.code, what, where=error.where, remedy=remedy)
 
 

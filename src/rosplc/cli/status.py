@@ -26,7 +26,7 @@ import typer
 from rosplc.cli.options import Configs, Directory, Prefix, StaleAfter, nothing_there, open_watch, settled
 from rosplc.cli.text import print_json, say, table
 from rosplc.cli.verb import EXIT_FAILURE, verb
-from rosplc.harmless import plural
+from rosplc.harmless import listed, plural
 
 if TYPE_CHECKING:
     from rosplc.monitor import Picture, Watch
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 _LEAST_SECONDS = 1.0
 _MOST_SECONDS = 31.0  # a beat is never promised for more than ten seconds, and three are waited for
 _FOLLOW_SECONDS = 0.5
-_NAMED = 3
 
 
 @verb
@@ -103,8 +102,7 @@ def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
         name = f"{view.label} ({view.prefix})" if several else view.label
         groups.setdefault(f"{view.state.value}: {view.words}{code}", []).append(name)
     for words, names in groups.items():
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        say(f"{', '.join(names[:_NAMED])}{more}: {words}")
+        say(f"{listed(names, 3)}: {words}")
     for note in picture.notes:
         say(note)
 

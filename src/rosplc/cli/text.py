@@ -76,7 +76,7 @@ def columns(
     cells = [[str(cell) for cell in row] for row in rows]
     if not cells:
         return []
-    numeric = [all(_is_number(row[column]) for row in cells) for column in range(len(cells[0]))]
+    numeric = [all(cell.replace(".", "", 1).isdigit() for cell in cut) for cut in zip(*cells, strict=True)]
     if header:
         cells.insert(0, list(header))
     natural = [max(len(row[column]) for row in cells) for column in range(len(cells[0]))]
@@ -114,10 +114,6 @@ def _folded(cell: str, width: int) -> list[str]:
     if len(cell) <= width:
         return [cell]
     return [shorten(line, width) for line in _wrapped(cell, width)]
-
-
-def _is_number(text: str) -> bool:
-    return text.replace(".", "", 1).isdigit()
 
 
 class ProgressLine:

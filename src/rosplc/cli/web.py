@@ -82,7 +82,8 @@ def command(
     )
 
     def ready(address: str, chosen: int) -> None:
-        url = _url(address, chosen)
+        host = "localhost" if address in ("0.0.0.0", "::", "127.0.0.1", "::1") else address
+        url = f"http://[{host}]:{chosen}/" if ":" in host else f"http://{host}:{chosen}/"
         if as_json:
             document = {
                 "url": url,
@@ -111,11 +112,6 @@ def _to_journal() -> bool:
     except (OSError, ValueError):
         return False
     return os.environ.get("JOURNAL_STREAM") == f"{status.st_dev}:{status.st_ino}"
-
-
-def _url(address: str, port: int) -> str:
-    host = "localhost" if address in ("0.0.0.0", "::", "127.0.0.1", "::1") else address
-    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
 
 
 def _introduce(settings: Settings, url: str, *, from_file: Path | None) -> None:

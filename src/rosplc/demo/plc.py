@@ -42,16 +42,16 @@ class Arrivals:
         """Return median and p99 age in milliseconds, per topic and over all (``""``)."""
         ages = {topic: list(values) for topic, values in self._ages.items()}
         ages[""] = [age for values in list(ages.values()) for age in values]
-        return {topic: _percentiles(values) for topic, values in ages.items() if values}
+        found = {}
+        for topic, values in ages.items():
+            if values:
+                p99 = quantiles(values, n=100, method="inclusive")[98] if len(values) > 1 else values[0]
+                found[topic] = {"median_ms": median(values) / 1e6, "p99_ms": p99 / 1e6}
+        return found
 
     def recent(self) -> dict[str, float]:
         """Return the age in milliseconds of each topic's last message."""
         return {topic: values[-1] / 1e6 for topic, values in self._ages.items() if values}
-
-
-def _percentiles(values: list[int]) -> dict[str, float]:
-    p99 = quantiles(values, n=100, method="inclusive")[98] if len(values) > 1 else values[0]
-    return {"median_ms": median(values) / 1e6, "p99_ms": p99 / 1e6}
 
 
 def serve(

@@ -157,6 +157,10 @@ def _flow(topic: str, to: str, sent: int, tally: dict[str, int], counted: int | 
 
 
 _POLL = 0.05
+_STARTUP, _QUIET = (
+    60.0,
+    10.0,
+)  # seconds to find each other, and in which nothing comes any more
 _KILL_AFTER = 5.0
 _DOWN_SECONDS = 0.5
 
@@ -165,8 +169,7 @@ class Demo:
     """Three processes and what they report; a context manager that leaves nothing behind.
 
     ``on_tick`` is called some twenty times per second with this object, to draw a view; ``structured_text``
-    is the folder of a PLC project (``demo.st.sources``) to run as the PLC, None for the Python program; the
-    processes may take ``startup`` seconds to find each other.
+    is the folder of a PLC project (``demo.st.sources``) to run as the PLC, None for the Python program.
     """
 
     def __init__(
@@ -174,7 +177,6 @@ class Demo:
         plan: Plan,
         *,
         on_tick: Callable[[Demo], None] | None = None,
-        startup: float = 60.0,
         structured_text: Path | None = None,
     ) -> None:
         self.plan = plan
@@ -182,7 +184,6 @@ class Demo:
         self.children: list[Child] = []
         self.outage: Outage | None = None
         self._on_tick = on_tick or (lambda _: None)
-        self._startup = startup
         self._structured_text = structured_text
         self._before = (0, 0)
         self._began: float | None = None
@@ -218,12 +219,15 @@ class Demo:
             child.order("go")
         kill_at = None if not kill else _KILL_AFTER if duration is None else duration / 3
         try:
-            while duration is None or time.monotonic() - began < duration + self._grace():
+            grace = 0.0  # a bridge that starts again is waited for
+            while duration is None or time.monotonic() - began < duration + grace:
                 self._tick()
                 if kill_at is not None and time.monotonic() - began >= kill_at:
                     kill_at = None
                     self._kill_bridge(began)
                 self._note_recovery(began)
+                outage = self.outage
+                grace = _STARTUP if outage and None in (outage.to_plc_at, outage.to_ros_at) else 0.0
         except KeyboardInterrupt:
             if duration is not None:
                 raise
@@ -235,11 +239,6 @@ class Demo:
         for child in (plc, robot):  # each sends one last, complete report when it is told to stop
             child.finish()
         return collect(robot.status, plc.status, seconds, drained=drained, outage=self.outage)
-
-    def _grace(self) -> float:
-        """Return for how many seconds more than wanted a bridge that starts again is waited for."""
-        outage = self.outage
-        return self._startup if outage and None in (outage.to_plc_at, outage.to_ros_at) else 0.0
 
     def _start(self) -> None:
         configuration = Path(self._folder.name) / "rosplc.yaml"
@@ -293,11 +292,11 @@ class Demo:
         self.outage = outage
 
     def _wait_until_ready(self) -> None:
-        deadline = time.monotonic() + self._startup
+        deadline = time.monotonic() + _STARTUP
         while not (self.plc.get("ready") and self.robot and not self.robot["unmatched"]):
             self._tick()
             if time.monotonic() > deadline:
-                raise SetupError("SYS004", f"within {self._startup:g} s: {self._who_waits()}")
+                raise SetupError("SYS004", f"within {_STARTUP:g} s: {self._who_waits()}")
 
     def _who_waits(self) -> str:
         reasons = [f"robot {topic}: {why}" for topic, why in self.robot.get("unmatched", {}).items()]
@@ -319,14 +318,14 @@ class Demo:
             and _newest(self.plc) == self.robot["sent"]
         )
 
-    def _settle(self, stopped: Callable[[], Any], arrived: Callable[[], bool], quiet: float = 10.0) -> bool:
+    def _settle(self, stopped: Callable[[], Any], arrived: Callable[[], bool]) -> bool:
         last, since = None, time.monotonic()
         while not (stopped() and arrived()):
             self._tick()
             now = (_newest(self.plc), _newest(self.robot), stopped())
             if now != last:
                 last, since = now, time.monotonic()
-            if time.monotonic() - since > quiet:
+            if time.monotonic() - since > _QUIET:
                 return False
         return True
 

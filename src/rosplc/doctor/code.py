@@ -12,10 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rosplc.doctor.finding import Finding, listed
+from rosplc.doctor.finding import Finding
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.objects import Carried, Objects
-from rosplc.harmless import plural
+from rosplc.harmless import listed, plural
 from rosplc.layout import Layout
 from rosplc.shm import Direction, Namespace, Part
 from rosplc.shm.header import layout_id_text

@@ -6,7 +6,6 @@ import enum
 import grp
 import pwd
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,16 +117,6 @@ class Report:
             "counts": self.counts(),
             "findings": [finding.to_dict() for finding in self.findings],
         }
-
-
-_MOST = 4
-
-
-def listed(items: Iterable[object]) -> str:
-    """Return the first few of many things, and how many more there are."""
-    texts = [str(item) for item in items]
-    more = f" and {len(texts) - _MOST} more" if len(texts) > _MOST else ""
-    return ", ".join(texts[:_MOST]) + more
 
 
 def user_name(uid: int) -> str:

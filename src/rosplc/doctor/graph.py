@@ -21,10 +21,10 @@ from rosplc.bridge.ros_side import RosSide, choose_backend
 from rosplc.config import Project, load_project
 from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import TopicPlan
-from rosplc.doctor.finding import Finding, Level, listed
+from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.errors import BackendError, RosplcError
-from rosplc.harmless import plural
+from rosplc.harmless import listed, plural
 from rosplc.init.live import elsewhere
 from rosplc.ros import ROS1, EndpointInfo, GraphInfo, incompatibility, open_backend, settled_graph
 from rosplc.ros.names import join, resolve_topic

@@ -9,10 +9,10 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 from rosplc.config.plans import ClassicPlan
-from rosplc.doctor.finding import Finding, Level, listed, user_name
+from rosplc.doctor.finding import Finding, Level, user_name
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.objects import Objects, Seen, lock_of
-from rosplc.harmless import plural
+from rosplc.harmless import listed, plural
 from rosplc.monitor.classic import semaphore_value
 from rosplc.shm.constants import STATE_RETIRED
 from rosplc.shm.names import file_name

@@ -90,15 +90,12 @@ def status_mask(status: Path, name: str) -> int:
     return int(found[1], 16) if found else 0
 
 
-def logout(
-    root: Path, uid: int, user: str, listing: Callable[[Path], list[Path]] | None = None
-) -> Iterator[Finding]:
+def logout(root: Path, uid: int, user: str) -> Iterator[Finding]:
     """Judge whether systemd removes the bridge's objects when their owner logs out.
 
-    ``root`` contains ``etc`` and ``run``; ``listing`` lists a folder's ``.conf`` files in their order, for
-    tests.
+    ``root`` contains ``etc`` and ``run``.
     """
-    value, where = _remove_ipc(root, listing or _conf_files)
+    value, where = _remove_ipc(root)
     if not (root / "run/systemd/seats").is_dir():
         yield fine("DOC106", "no systemd-logind runs here")
     elif not value:
@@ -113,15 +110,11 @@ def logout(
         yield found("DOC106", seen, remedy, f"sudo loginctl enable-linger {user}")
 
 
-def _conf_files(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.conf")) if folder.is_dir() else []
-
-
-def _remove_ipc(root: Path, listing: Callable[[Path], list[Path]]) -> tuple[bool, str]:
+def _remove_ipc(root: Path) -> tuple[bool, str]:
     """Return logind's RemoveIPC and the file that sets it; the last file wins."""
     files: dict[str, Path] = {}
     for folder in ("usr/lib", "run", "etc"):
-        files.update({path.name: path for path in listing(root / folder / "systemd/logind.conf.d")})
+        files |= {path.name: path for path in (root / folder / "systemd/logind.conf.d").glob("*.conf")}
     mains = [root / base / "systemd/logind.conf" for base in ("etc", "run", "usr/lib")]
     result, where = True, "systemd's default"
     for path in [path for path in mains if path.is_file()][:1] + [files[name] for name in sorted(files)]:

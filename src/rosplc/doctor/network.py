@@ -11,8 +11,9 @@ from urllib.parse import urlsplit
 
 from rosplc.codec import Codec, Wire
 from rosplc.config import TopicPlan
-from rosplc.doctor.finding import Finding, Level, listed
+from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import fine, found, judged
+from rosplc.harmless import listed
 from rosplc.ros.buffers import cyclone_buffer, default_buffer, largest_message
 from rosplc.shm import Direction
 
@@ -42,8 +43,12 @@ def distro(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
 
 def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
     """Judge whether ROS knows the variables' values."""
+
+    def is_domain(text: str) -> bool:
+        return text.isascii() and text.isdigit() and len(text) < 10 and int(text) <= _MAX_DOMAIN
+
     rules: tuple[tuple[str, Callable[[str], bool], str], ...] = (
-        ("ROS_DOMAIN_ID", _is_domain, f"a number from 0 to {_MAX_DOMAIN}"),
+        ("ROS_DOMAIN_ID", is_domain, f"a number from 0 to {_MAX_DOMAIN}"),
         ("ROS_LOCALHOST_ONLY", ("0", "1").__contains__, "0 or 1"),
         ("ROS_AUTOMATIC_DISCOVERY_RANGE", _RANGES.__contains__, f"one of {', '.join(_RANGES)}"),
     )
@@ -56,10 +61,6 @@ def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
         yield found("DOC403", f"{name} is {value!r}; it is {right}", command=f"unset {name}")
     if not wrong:
         yield fine("DOC403", "ROS's variables have values that ROS knows")
-
-
-def _is_domain(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) < 10 and int(text) <= _MAX_DOMAIN
 
 
 def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
-from rosplc.doctor.finding import Finding, Level, listed
+from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.errors import ChannelError
-from rosplc.harmless import plural
+from rosplc.harmless import listed, plural
 from rosplc.layout import Layout
 from rosplc.monitor.tracked import WRITER, Peers, is_starting, process_words
 from rosplc.shm import Description, Direction, Identity, Namespace, Part, ReaderState, Region, Snapshot

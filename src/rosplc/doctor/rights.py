@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosplc.doctor.finding import Finding, Level, group_name, listed, user_name
+from rosplc.doctor.finding import Finding, Level, group_name, user_name
 from rosplc.doctor.kinds import fine, found, judged
-from rosplc.harmless import plural
+from rosplc.harmless import listed, plural
 
 _SHARE = (
     "Start both containers with one /dev/shm: docker run --ipc=host, or in compose `ipc: host` "

@@ -99,17 +99,14 @@ class Definitions:
 
     def _file(self, type_name: str) -> Path | None:
         package, _, base = type_name.split("/")
-        for folder in self._roots():
-            file = folder / package / "msg" / f"{base}.msg"
+        variable, below = "AMENT_PREFIX_PATH", "share"
+        if self.store.ros_version == 1:
+            variable, below = "ROS_PACKAGE_PATH", ""
+        for part in filter(None, self._environment.get(variable, "").split(":")):
+            file = Path(part) / below / package / "msg" / f"{base}.msg"
             if file.is_file():
                 return file
         return None
-
-    def _roots(self) -> list[Path]:
-        if self.store.ros_version == 1:
-            return [Path(part) for part in self._environment.get("ROS_PACKAGE_PATH", "").split(":") if part]
-        prefixes = self._environment.get("AMENT_PREFIX_PATH", "").split(":")
-        return [Path(part) / "share" for part in prefixes if part]
 
 
 def join_texts(texts: Mapping[str, str]) -> str:

@@ -9,7 +9,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,7 @@ _LEADS_THERE = {
 _OF_EACH_NODE = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/")
 """Packages of the services that nodes have for parameters and their own state."""
 _SHOW_S = 1.0
+_LISTEN_S = 3.0  # to other domains
 _SETTLE_S = 1.0  # how long kept messages may take to be delivered; not more than a quarter of the listening
 
 
@@ -161,16 +162,14 @@ class LiveRobot:
             for topic, subscription in subscriptions.items():
                 trouble[topic] = subscription.status().reason
             # ROS 1 tells who latches only to those who are connected.
-            self.found = replace(self.found, topics={**self.found.topics, **self._offers(subscriptions)})
+            now, before = _topics(self._backend.graph()), self.found.topics
+            offers = {
+                name: replace(before[name], offered=now[name].offered)
+                for name in subscriptions
+                if name in before and name in now and now[name].offered
+            }
+            self.found = replace(self.found, topics={**before, **offers})
         return {topic: meter.finish(seconds, trouble.get(topic, "")) for topic, meter in meters.items()}
-
-    def _offers(self, wanted: Iterable[str]) -> dict[str, Topic]:
-        now, before = _topics(self._backend.graph()), self.found.topics
-        return {
-            name: replace(before[name], offered=now[name].offered)
-            for name in wanted
-            if name in before and name in now and now[name].offered
-        }
 
     def _refuse_nobody(self, info: GraphInfo, where: str, seconds: float) -> None:
         """Say why nothing was found: the master or router is away, or nobody is there."""
@@ -270,16 +269,15 @@ _BASE, _GAIN, _LAST = 7400, 250, 101
 _PORTS = {_BASE + _GAIN * domain: domain for domain in range(_LAST + 1)}
 
 
-def elsewhere(where: str, seconds: float = 3.0) -> str:
+def elsewhere(where: str) -> str:
     """Return a clause that names other domains with DDS nodes; empty if none were seen.
 
-    ``where`` is of interest if it begins with "domain" and a number; other machines are listened to for so
-    long.
+    ``where`` is of interest if it begins with "domain" and a number; other machines are listened to.
     """
     looked_at = re.match(r"domain (\d+)", where)
     if looked_at is None:
         return ""
-    others = sorted(domains_in_use(seconds) - {int(looked_at[1])})
+    others = sorted(domains_in_use(_LISTEN_S) - {int(looked_at[1])})
     if not others:
         return ""
     named = ", ".join(map(str, others[:5])) + (" and others" if len(others) > 5 else "")

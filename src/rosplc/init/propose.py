@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from rosplc.errors import LayoutError, RosplcError
-from rosplc.harmless import nearest, plural
+from rosplc.harmless import listed, nearest, plural
 from rosplc.init.found import Seen, Topic
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.layout.compute import MAX_SEQUENCE, MAX_STRING
@@ -161,9 +161,8 @@ def _limits(entry: Entry, store: TypeStore, seen: Seen | None) -> Layout:
     entry.limits |= {path: item for path, item in wanted.items() if variable[path].capacity != item[0]}
     unseen = [path for path in variable if path not in wanted]
     if unseen:
-        shown = ", ".join(unseen[:6]) + (f" and {len(unseen) - 6} more" if len(unseen) > 6 else "")
         nothing = "Empty in all of them" if wanted or (seen is not None and seen.messages) else "Not seen yet"
-        entry.about.append(f"{nothing}: {shown}; the defaults at the top hold.")
+        entry.about.append(f"{nothing}: {listed(unseen, 6)}; the defaults at the top hold.")
     return layout
 
 
@@ -221,9 +220,7 @@ def _up(value: float, step: int) -> int:
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    shown = [name if name != "?" else "a node without a name" for name in names[:3]]
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(shown) + more
+    return listed((name if name != "?" else "a node without a name" for name in names), 3)
 
 
 To = Literal["plc", "ros"]
@@ -271,10 +268,11 @@ def parse_wish(text: str, to: To | None = None) -> Wish:
         raise ValueError(f"{text!r} names no topic")
     if not equals:
         return Wish(pattern, None, to)
-    return Wish(pattern, _full_name(type_name), to)
+    return Wish(pattern, type_called(type_name), to)
 
 
-def _full_name(type_name: str) -> str:
+def type_called(type_name: str) -> str:
+    """Return a type's full name; ValueError, with what would be right, for what is none."""
     try:
         return full_name(type_name)
     except RosplcError as error:
@@ -342,4 +340,4 @@ def _type(topic: Topic, wish: Wish) -> str:
     if len(topic.types) > 1:
         types = ", ".join(topic.types)
         raise ValueError(f"it has several types ({types}); write {topic.name}=PACKAGE/TYPE with one")
-    return _full_name(topic.types[0])
+    return type_called(topic.types[0])

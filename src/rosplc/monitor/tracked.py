@@ -214,7 +214,8 @@ class Tracked:
             if not writer_alive and (runs is not None or self._peers.seen(WRITER)):
                 writer_alive = runs is not False
         readers = tuple(self._reader(line, now_ns) for line in snapshot.readers)
-        bridge, plc = self._sides(writer_alive, readers)
+        acts = any_alive(reader.alive for reader in self._acting(readers))
+        bridge, plc = (writer_alive, acts) if self._to_plc else (acts, writer_alive)
         own = snapshot.bridge(self.direction)
         bridge_pid = own.pid if own else 0
         starting = (
@@ -300,10 +301,6 @@ class Tracked:
         return ReaderView(
             line.index, line.task, line.pid, alive, line.taken, line.lost, line.retries, line.error
         )
-
-    def _sides(self, writer: bool | None, readers: tuple[ReaderView, ...]) -> tuple[bool | None, bool | None]:
-        acts = any_alive(reader.alive for reader in self._acting(readers))
-        return (writer, acts) if self._to_plc else (acts, writer)
 
     def _acting(self, readers: tuple[ReaderView, ...]) -> list[ReaderView]:
         """Return the readers that are the other side, and no observers."""

@@ -18,6 +18,7 @@ from importlib.resources import files as package_files
 from pathlib import Path
 
 from rosplc.errors import GenerationError
+from rosplc.harmless import listed
 from rosplc.layout import Layout
 from rosplc.layout.c_header import c_header
 from rosplc.plc.build import ACTION_GVL, SAFE_GVL, SERVICE_GVL
@@ -172,8 +173,7 @@ def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -
         known = _manifest(folder, force=force)
         edited = [] if force else _edited(folder, files, known)
         if edited:
-            more = f" and {len(edited) - 5} more" if len(edited) > 5 else ""
-            what = f"edited since it was generated: {', '.join(edited[:5])}{more}"
+            what = f"edited since it was generated: {listed(edited, 5)}"
             raise GenerationError("PLC001", what, where=str(folder))
         return _write(folder, files, known)
     except OSError as error:

@@ -470,7 +470,9 @@ def channel_info(carried: Carried, stream: Stream, number: int, prefix: str, qos
             "_SendGoal_Event"
         )
         metadata["rosplc.definition"] = _action_text(layout.store, action) if action else definition
-        schema = _idl(layout.store, layout.type_name).encode(), "ros2idl"
+        needed = layout.store.dependencies(layout.type_name)[::-1]
+        texts = (f"{'=' * 80}\nIDL: {each}\n{_module(layout.store[each])}" for each in needed)
+        schema = "".join(texts).encode(), "ros2idl"
     return ChannelInfo(number, stream.topic, layout.type_name, schema[1], schema[0], "cdr", metadata)
 
 
@@ -481,11 +483,6 @@ def _action_text(store: TypeStore, action: str) -> str:
     own = MessageType(action, tuple(Field(name, NamedType(part.name)) for name, part in fields.items()))
     needed = (each for part in fields.values() for each in store.dependencies(part.name))
     return TypeStore("", {action: own, **{each: store[each] for each in needed}}).definition_text(action)
-
-
-def _idl(store: TypeStore, name: str) -> str:
-    parts = (f"{'=' * 80}\nIDL: {each}\n{_module(store[each])}" for each in store.dependencies(name)[::-1])
-    return "".join(parts)
 
 
 def _module(message: MessageType) -> str:

@@ -315,17 +315,18 @@ class Inlet:
         return found
 
 
+_MOST_BYTES = 64 << 20
+
+
 class Outlet:
     """Compresses batches and passes the chunks to ``take`` in a thread of its own, in order.
 
-    At most ``most_bytes`` wait, uncompressed; what comes beyond is dropped and counted per channel id, as is
+    At most 64 MiB wait, uncompressed; what comes beyond is dropped and counted per channel id, as is
     everything once ``error`` is set.
     """
 
-    def __init__(
-        self, take: Callable[[SealedChunk], None], compression: Compression, most_bytes: int = 64 << 20
-    ) -> None:
-        self._take, self._compression, self._most_bytes = take, compression, most_bytes
+    def __init__(self, take: Callable[[SealedChunk], None], compression: Compression) -> None:
+        self._take, self._compression = take, compression
         self.dropped: Counter[int] = Counter()
         self.error: Exception | None = None
         self._waiting = 0
@@ -341,7 +342,7 @@ class Outlet:
         """Add a batch; never blocks."""
         size = len(batch.data)
         with self._lock:
-            fits = self.error is None and self._waiting + size <= self._most_bytes
+            fits = self.error is None and self._waiting + size <= _MOST_BYTES
             if fits:
                 self._waiting += size
         if fits:

@@ -224,17 +224,14 @@ class McapFile:
                 except OSError:
                     if not self._last:
                         raise
-                    self._take_back()
+                    # The last chunk gives way, and what was written after it.
+                    self._cut(self._chunks.pop().chunk_start_offset)
+                    self._metadata = [one for one in self._metadata if one.offset < self.size]
+                    counts = self._last.pop()
+                    self.counts.subtract(counts)
+                    self.taken_back.update(counts)
         finally:
             self.close()
-
-    def _take_back(self) -> None:
-        """Remove the last chunk, and what was written after it."""
-        self._cut(self._chunks.pop().chunk_start_offset)
-        self._metadata = [one for one in self._metadata if one.offset < self.size]
-        counts = self._last.pop()
-        self.counts.subtract(counts)
-        self.taken_back.update(counts)
 
     def close(self) -> None:
         """Close the file as it is; harmless twice."""

@@ -19,8 +19,6 @@ from rosplc.shm import Attached, Direction, Namespace, Part, Peer, attach
 from rosplc.shm.constants import ErrorNumber
 from rosplc.virtual_plc.task import Scan, current_scan
 
-__all__ = ["Block", "Peer", "error_number"]
-
 _FIRST_DELAY_NS = 20_000_000
 _LONGEST_DELAY_NS = 1_000_000_000
 

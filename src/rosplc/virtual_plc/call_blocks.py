@@ -17,15 +17,13 @@ from rosplc.errors import ChannelError
 from rosplc.layout import Layout
 from rosplc.reasons import Reason
 from rosplc.ros.actions import GoalStatus
-from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Reader, ReaderClaim, SlotInfo, Writer
+from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Peer, Reader, ReaderClaim, SlotInfo, Writer
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
-from rosplc.virtual_plc.block import Block, Peer, _Instance
+from rosplc.virtual_plc.block import Block, _Instance
 from rosplc.virtual_plc.read_block import ReadBlock
 from rosplc.virtual_plc.task import Scan
 from rosplc.virtual_plc.write_block import WriteBlock
-
-__all__ = ["ActionClient", "ActionServer", "ServiceClient", "ServiceServer"]
 
 _OUTCOMES = {
     spec.ANSWER_NOT_EXECUTED: ErrorNumber.NOT_EXECUTED,

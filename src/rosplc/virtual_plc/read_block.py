@@ -7,12 +7,10 @@ from typing import Any, Literal
 
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
-from rosplc.shm import Attached, Direction, Namespace, Reader, ReaderClaim, SlotInfo
+from rosplc.shm import Attached, Direction, Namespace, Peer, Reader, ReaderClaim, SlotInfo
 from rosplc.shm.constants import UNKNOWN, WRITER_LINE
-from rosplc.virtual_plc.block import Block, Peer
+from rosplc.virtual_plc.block import Block
 from rosplc.virtual_plc.task import Scan
-
-__all__ = ["OnStale", "ReadBlock"]
 
 OnStale = Literal["hold", "zero", "value"]
 

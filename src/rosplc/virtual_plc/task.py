@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-__all__ = ["CycleStats", "Program", "Scan", "Task", "TaskState", "VirtualPlc", "current_scan", "enter_scan"]
-
 
 @dataclass(slots=True)
 class Scan:

@@ -9,12 +9,10 @@ from typing import Any, NoReturn
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.layout.nodes import StructNode
-from rosplc.shm import Attached, Direction, Namespace, Writer, WriterClaim
+from rosplc.shm import Attached, Direction, Namespace, Peer, Writer, WriterClaim
 from rosplc.shm.constants import STAMP_PLC, UNKNOWN, ErrorNumber
-from rosplc.virtual_plc.block import Block, Peer, error_number
+from rosplc.virtual_plc.block import Block, error_number
 from rosplc.virtual_plc.task import Scan
-
-__all__ = ["Message", "WriteBlock"]
 
 
 class Message:

@@ -92,25 +92,22 @@ class Wants:
         found = data if isinstance(data, dict) else {"messages": None}
         messages, plots = found.get("messages", []), found.get("plots", {})
         if not isinstance(messages, list) or not isinstance(plots, dict):
-            raise _malformed("what a page wants is an object: `messages` is a list, `plots` an object")
+            what = "what a page wants is an object: `messages` is a list, `plots` an object"
+            raise WebError("WEB009", what)
         for name in [*messages, *plots]:
             if not isinstance(name, str) or len(name) > _MAX_ID:
-                raise _malformed("a channel's id is a text")
+                raise WebError("WEB009", "a channel's id is a text")
         fields = [path for paths in plots.values() for path in (paths if isinstance(paths, list) else [None])]
         for path in fields:
             if not isinstance(path, str):
-                raise _malformed("the fields to plot are a list of paths")
+                raise WebError("WEB009", "the fields to plot are a list of paths")
             try:
                 parse_path(path)
             except ValueError as error:
-                raise _malformed(str(error)) from None
+                raise WebError("WEB009", str(error)) from None
         if len(messages) > MAX_MESSAGES or len(fields) > MAX_PLOTS:
-            raise _malformed(f"a page may open {MAX_MESSAGES} messages and plot {MAX_PLOTS} fields")
+            raise WebError("WEB009", f"a page may open {MAX_MESSAGES} messages and plot {MAX_PLOTS} fields")
         return cls(frozenset(messages), {name: frozenset(paths) for name, paths in plots.items() if paths})
-
-
-def _malformed(what: str) -> WebError:
-    return WebError("WEB009", what)
 
 
 _PICTURE_NS = 500_000_000
@@ -151,12 +148,12 @@ class Looker:
             for channel, paths in each.plots.items():
                 plots.setdefault(channel, set()).update(paths)
         found = Look()
-        if self._is_due(""):
+        if self._clock.monotonic_ns() >= self._due.get("", 0):
             started = self._clock.monotonic_ns()
             found.picture = self._watch.look()
             self._next("", started, _PICTURE_NS if wanted else _UNWATCHED_NS)
         for channel in messages | plots.keys():
-            if self._is_due(channel):
+            if self._clock.monotonic_ns() >= self._due.get(channel, 0):
                 started = self._clock.monotonic_ns()
                 self._message(found, channel, channel in messages, frozenset(plots.get(channel, ())))
                 self._next(channel, started, _SAMPLE_NS)
@@ -164,9 +161,6 @@ class Looker:
             del self._due[channel]
             self._seen.pop(channel, None)
         return found
-
-    def _is_due(self, name: str) -> bool:
-        return self._clock.monotonic_ns() >= self._due.get(name, 0)
 
     def _next(self, name: str, started: int, period_ns: int) -> None:
         now = self._clock.monotonic_ns()
@@ -192,7 +186,15 @@ class Looker:
             values = {path: number_at(message.values, path) for path in paths}
             found.samples[channel] = (_time_of(message, now_ms), values)
         if wanted:
-            found.messages[channel] = _page_form(message)
+            found.messages[channel] = {
+                "type": message.type_name,
+                "sequence": message.sequence,
+                # Nanoseconds since 1970 are beyond what a page can count.
+                "stamp_ms": message.stamp_ns / 1e6 if message.stamp_ns else None,
+                "clock": message.clock,
+                "marks": list(message.marks),
+                "values": shown(message.values),
+            }
 
     def _news(self, found: Look, channel: str, mark: tuple[object, ...], news: dict[str, Any]) -> None:
         if self._seen.get(channel) != mark:
@@ -204,18 +206,6 @@ def _time_of(message: Message, now_ms: float) -> float:
     """Return when a message came: its stamp, if that is of about now, which is more exact than a look."""
     stamp_ms = message.stamp_ns / 1e6
     return stamp_ms if message.clock and 0 <= now_ms - stamp_ms < _STAMP_MS else now_ms
-
-
-def _page_form(message: Message) -> dict[str, Any]:
-    return {
-        "type": message.type_name,
-        "sequence": message.sequence,
-        # Nanoseconds since 1970 are beyond what a page can count.
-        "stamp_ms": message.stamp_ns / 1e6 if message.stamp_ns else None,
-        "clock": message.clock,
-        "marks": list(message.marks),
-        "values": shown(message.values),
-    }
 
 
 _log = logging.getLogger("rosplc.web")

@@ -21,9 +21,9 @@ from textual.widgets import Footer, Input, Static
 from rosplc.errors import ChannelError
 from rosplc.harmless import one_line
 from rosplc.levels import Level
-from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, grouped
+from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, event_text, grouped
 from rosplc.monitor.terminal.message import MessageScreen
-from rosplc.monitor.terminal.table import LEVEL_STYLES, ChannelTable, Sorting, event_line, plain
+from rosplc.monitor.terminal.table import LEVEL_STYLES, ChannelTable, Sorting, plain
 from rosplc.monitor.watch import Watch
 
 _NONE = "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
@@ -142,7 +142,12 @@ class OverviewScreen(Screen[None]):
             return
         newest = grouped(self._events)[-lines:][::-1]
         text = Text("\n", no_wrap=True, overflow="ellipsis").join(
-            event_line(event, f" {datetime.fromtimestamp(event.time_ns / 1e9):%H:%M:%S}") for event in newest
+            Text.assemble(
+                (f" {datetime.fromtimestamp(event.time_ns / 1e9):%H:%M:%S} ", "dim"),
+                (one_line(event_text(event)), LEVEL_STYLES[event.level]),
+                end="",
+            )
+            for event in newest
         )
         box.update(text if newest else plain(" Nothing happened since the start.", "dim"), layout=False)
 
@@ -159,7 +164,8 @@ class OverviewScreen(Screen[None]):
 
     def on_channel_table_heading_clicked(self, event: ChannelTable.HeadingClicked) -> None:
         """Sort by the column whose heading was clicked."""
-        self._reorder(self._order.sorted_by(event.by))
+        again = event.by == self._order.by
+        self._reorder(replace(self._order, by=event.by, reverse=again and not self._order.reverse))
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Filter while typing."""

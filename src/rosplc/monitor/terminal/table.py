@@ -29,10 +29,8 @@ from rosplc.levels import Level
 from rosplc.monitor.picture import (
     ALL_WELL,
     ChannelView,
-    Event,
     age_text,
     count_text,
-    event_text,
     plc_text,
     rate_text,
     state_text,
@@ -58,13 +56,6 @@ def plain(text: str, style: str = "") -> Text:
 def state_cell(view: ChannelView) -> Text:
     """Return mark and word of a channel's state, in its level's colour."""
     return Text(state_text(view), style=LEVEL_STYLES[view.state.level], no_wrap=True, end="")
-
-
-def event_line(event: Event, clock: str) -> Text:
-    """Return an event as a line, its time before it."""
-    return Text.assemble(
-        (f"{clock} ", "dim"), (one_line(event_text(event)), LEVEL_STYLES[event.level]), end=""
-    )
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
@@ -99,12 +90,6 @@ class Sorting:
     reverse: bool = False
     words: str = ""
     wrong: bool = False
-
-    def sorted_by(self, by: str) -> Sorting:
-        """Return the order by another figure; by the same one, the other way round."""
-        if by == self.by:
-            return replace(self, reverse=not self.reverse)
-        return replace(self, by=by, reverse=False)
 
     def next(self) -> Sorting:
         """Return the order by the figure that comes next."""
