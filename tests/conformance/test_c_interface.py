@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 
 import rosplc
+from rosplc.config.resolve import load_project
 from rosplc.shm import Namespace
 from tests.lib.waiting import repeat_until
+from tests.verification.call_ends import CALLED, CallEnds
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c"
 HEADERS = sorted((rosplc.include_dir() / "rosplc").glob("*.h"))
@@ -99,6 +101,23 @@ def test_the_blocks_make_no_system_call_once_open(tmp_path: Path, shm_namespace:
         )
         assert child.returncode == 0
         assert any(answers)
+
+
+def test_calls_make_no_system_call_once_open(tmp_path: Path, shm_namespace: Namespace) -> None:
+    """Nor do clients and servers of services and actions, from the call to the answer."""
+    config = tmp_path / "rosplc.yaml"
+    config.write_text(f"prefix: {shm_namespace.prefix}\n{CALLED}")
+    rosplc.generate(config, tmp_path / "plc")
+    source = Path(__file__).with_name("no_system_call_calls.c")
+    compile_with("C11", source, tmp_path / "silent", f"-I{tmp_path / 'plc'}", str(BLOCKS))
+    with running([str(tmp_path / "silent"), shm_namespace.prefix]) as child:
+
+        def alive() -> None:
+            assert not child.poll(), f"ended with {child.returncode}"
+
+        with CallEnds(load_project(config), shm_namespace, alive) as ends:
+            ends.let_all_cross()
+            assert child.wait(100) == 0
 
 
 @pytest.mark.parametrize(

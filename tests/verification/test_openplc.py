@@ -24,8 +24,8 @@ from rosplc.config.resolve import Project, load_project
 from rosplc.described import description_of
 from rosplc.project import generate_types
 from rosplc.shm import Namespace, OwnedChannel
-from rosplc.shm import constants as spec
 from tests.lib.waiting import wait_for
+from tests.verification.call_ends import CALLED, CallEnds
 from tests.verification.crossing import random_record
 
 By = Callable[[Project, Path, str], Path]
@@ -394,15 +394,6 @@ def test_every_kind_of_field_crosses(
             channel.close()
 
 
-CALLED = """services:
-  /close: {type: std_srvs/srv/Trigger, server: ros, clients: [pick]}
-  /start: {type: std_srvs/srv/SetBool, server: plc}
-actions:
-  /drive: {type: example_interfaces/action/Fibonacci, server: ros}
-  /cycle: {type: example_interfaces/action/Fibonacci, server: plc}
-"""
-
-
 @pytest.mark.timeout(300)
 @EACH
 def test_calls_cross(by: By, tmp_path: Path, shm_namespace: Namespace) -> None:
@@ -410,75 +401,10 @@ def test_calls_cross(by: By, tmp_path: Path, shm_namespace: Namespace) -> None:
     (tmp_path / "rosplc.yaml").write_text(f"prefix: {shm_namespace.prefix}\n{CALLED}")
     project = load_project(tmp_path / "rosplc.yaml")
     library = ctypes.CDLL(str(by(project, tmp_path / "plc", CALLS)))
-    ends: dict[str, Any] = {}
-    layouts, channels = {}, []
-    for plan in project.calls:
-        parts = [
-            (
-                description_of(
-                    layout,
-                    plan.called,
-                    part.direction(plan.server),
-                    bridge="test",
-                    part=part,
-                    client=plan.client,
-                ),
-                layout.size,
-            )
-            for part, layout in zip(plan.parts, plan.layouts, strict=True)
-        ]
-        opened = OwnedChannel.open_together(shm_namespace, parts)
-        channels += opened
-        for part, layout, channel in zip(plan.parts, plan.layouts, opened, strict=True):
-            name = f"{plan.called} {part.word}"
-            reads = part.asks == (plan.server == "ros")
-            ends[name], layouts[name] = channel.reader() if reads else channel.writer(), layout
-            if reads:
-                ends[name].set_sinks(1)
-
-    def send(name: str, value: dict[str, Any], correlation: int, status: int) -> None:
-        ends[name].publish(
-            layouts[name].pack(value), correlation=correlation, status=status, client=bytes(16)
-        )
-
-    def taken(name: str, status: int) -> tuple[int, Any]:
-        """Scan until a message with this status comes; return its correlation and value."""
-
-        def look() -> Any:
-            for end in ends.values():
-                end.beat()
-            library.scan()
-            record = bytearray(layouts[name].size)
-            info = ends[name].latest(record)
-            return info and info.status == status and (info.correlation, layouts[name].view(record))
-
-        return wait_for(look, f"{name} with {status}")
-
-    try:
-        call, _ = taken("/close request", spec.ASK_CALL)
-        goal, asked = taken("/drive goal", spec.ASK_CALL)
-        assert asked.order == 7
-        send("/close response", {"success": True, "message": "shut"}, call, spec.ANSWER_DONE)
-        send("/drive result", {}, goal, spec.ANSWER_ACCEPTED)
-        started = ends["/start request"].epoch << 32 | 1
-        send("/start request", {"data": True}, started, spec.ASK_CALL)
-        number, reply = taken("/start response", spec.ANSWER_DONE)
-        assert (number, reply.success, reply.message) == (started, True, "shut")
-        served = ends["/cycle goal"].epoch << 32 | 1
-        send("/cycle goal", {"order": 3}, served, spec.ASK_CALL)
-        assert taken("/cycle result", spec.ANSWER_ACCEPTED)[0] == served
-        send("/drive feedback", {"sequence": [0, 1]}, goal, spec.ANSWER_ACCEPTED)
-        wait_for(
-            lambda: list(taken("/cycle feedback", spec.ANSWER_ACCEPTED)[1].sequence) == [0, 1], "feedback"
-        )
-        send("/drive result", {"sequence": [0, 1, 1, 2]}, goal, spec.ANSWER_SUCCEEDED)
-        number, result = taken("/cycle result", spec.ANSWER_SUCCEEDED)
-        assert (number, list(result.sequence)) == (served, [0, 1, 1, 2])
+    with CallEnds(project, shm_namespace, library.scan) as ends:
+        ends.let_all_cross()
         _ctypes.dlclose(library._handle)
         assert "program.so" not in Path("/proc/self/maps").read_text(), "a shared symbol keeps it loaded"
-    finally:
-        for channel in channels:
-            channel.close()
 
 
 def test_strings_too_long_for_matiec(tmp_path: Path) -> None:
