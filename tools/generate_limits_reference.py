@@ -46,8 +46,8 @@ Configuration:
     name of a topic or namespace | config.settings.LONGEST_NAME | characters | CFG004
     name of a message type | config.settings.LONGEST_TYPE | characters | CFG004
     path or address | config.settings.LONGEST_TEXT | characters | CFG004
-    capacity of a string | layout.compute.MAX_STRING | bytes | LAY001
-    capacity of a sequence | layout.compute.MAX_SEQUENCE | elements | LAY001
+    capacity of a string | layout.nodes.MAX_STRING | bytes | LAY001
+    capacity of a sequence | layout.nodes.MAX_SEQUENCE | elements | LAY001
 Message definitions:
     text of one definition, with the types that it needs | model.parse.MAX_TEXT | bytes | TYP007
     fields and constants in it | model.parse.MAX_FIELDS | fields | TYP007
@@ -55,8 +55,8 @@ Message definitions:
     types within types | model.store.MAX_DEPTH | levels | TYP007
     definitions below one folder | model.folders.MAX_FILES | files | TYP008
     files of any kind below it | model.folders.MAX_ENTRIES | files | TYP008
-    fields of one record, those of inner types counted | layout.compute.MAX_ITEMS | fields | LAY003
-    size of one record | layout.compute.MAX_RECORD | bytes | LAY003
+    fields of one record, those of inner types counted | layout.nodes.MAX_ITEMS | fields | LAY003
+    size of one record | layout.nodes.MAX_RECORD | bytes | LAY003
     sequences within sequences | codec.compile.MAX_LOOPS | levels | TYP007
 Objects in shared memory:
     name of an object | shm.constants.MAX_NAME | characters | shortened with a hash
@@ -73,14 +73,14 @@ ROS:
     text about one peer | ros._base.LONGEST_REASON | characters | cut off
     different reasons in the log | ros._base.MOST_REMEMBERED | reasons | no more are logged
 ROS over DDS:
-    name of a node in an announcement | ros.dds.graph.LONGEST_NAME | bytes | refused
-    nodes or endpoints that it may claim | ros.dds.graph.MOST_CLAIMED | each | refused
-    participants whose announcements are kept | ros.dds.graph.MOST_PARTICIPANTS | participants | not kept
-    domain | ros.dds.domain.MAX_DOMAIN |  | ROS010
+    name of a node in an announcement | ros.dds.peers.LONGEST_NAME | bytes | refused
+    nodes or endpoints that it may claim | ros.dds.peers.MOST_CLAIMED | each | refused
+    participants whose announcements are kept | ros.dds.peers.MOST_PARTICIPANTS | participants | not kept
+    domain | ros.dds.backend.MAX_DOMAIN |  | ROS010
 ROS over Zenoh:
     liveliness token | ros.zenoh.keys.LONGEST_TOKEN | characters | refused, counted
     tokens that are kept | ros.zenoh.keys.MOST_TOKENS | tokens | refused, counted
-    configuration file of Zenoh's | ros.zenoh.session.LARGEST_FILE | bytes | ROS013, ROS010
+    configuration file of Zenoh's | ros.zenoh.backend.LARGEST_FILE | bytes | ROS013, ROS010
 ROS 1:
     connection header | ros.rospy.handshake.MOST_HEADER | bytes | connection closed
     message | ros.rospy.inbound.LARGEST_MESSAGE | bytes | connection closed

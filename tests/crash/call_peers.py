@@ -34,7 +34,7 @@ from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import SERVICES, GoalEvent, GoalStatus, Reply, action_classes, actions, open_backend
 from rosplc.shm import Attached, Part, Reader, SlotInfo
-from rosplc.shm.claims import ReaderClaim
+from rosplc.shm.attach import ReaderClaim
 from rosplc.shm.constants import ANSWER_ACCEPTED, ANSWER_MASK
 from rosplc.virtual_plc import ActionClient, ActionServer, ServiceClient, ServiceServer, Task
 from rosplc.virtual_plc.call_blocks import _In, _Out

@@ -17,7 +17,7 @@ from rosplc.bridge import Bridge
 from rosplc.config import parse_config
 from rosplc.model import TypeStore
 from rosplc.ros import SERVICES, Qos, Reply, open_backend
-from rosplc.ros.dds.domain import TYPES, Topics
+from rosplc.ros.dds.backend import TYPES, Topics
 from rosplc.shm import Namespace
 from tests.interop.graphs import LOCAL, STRING, free_domain, string, text_of
 from tests.interop.rmw_cyclone import HEADER, RmwClient, RmwNode, RmwServer, message_class

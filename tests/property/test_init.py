@@ -15,7 +15,7 @@ from rosplc.init.found import Found, Length, Seen, Topic
 from rosplc.init.learn import Definitions
 from rosplc.init.propose import Wish, select
 from rosplc.init.write import draft, save
-from rosplc.layout.compute import limit_paths
+from rosplc.layout.nodes import limit_paths
 from rosplc.model import DISTROS
 from rosplc.project import check
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos

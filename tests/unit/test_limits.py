@@ -22,9 +22,8 @@ from rosplc.config.file import Config, parse_config
 from rosplc.config.plans import ClassicPlan
 from rosplc.config.yaml_source import ConfigErrors, Problems
 from rosplc.errors import LONGEST_TEXT, RosplcError
-from rosplc.layout import Limits, compute_layout
-from rosplc.layout import compute as layout_compute
-from rosplc.layout.compute import MAX_SEQUENCE, MAX_STRING
+from rosplc.layout import Limits, compute_layout, nodes
+from rosplc.layout.nodes import MAX_SEQUENCE, MAX_STRING
 from rosplc.model import TypeStore, folders, parse, store
 from rosplc.plc import build, delivery
 from rosplc.plc.plan import LONGEST_NAME
@@ -134,7 +133,7 @@ def long_names(patch: pytest.MonkeyPatch, folder: Path) -> None:
         refused("CFG004", yaml(text), str(settings.LONGEST_TEXT))
 
 
-@beyond("layout.compute.MAX_STRING", "layout.compute.MAX_SEQUENCE")
+@beyond("layout.nodes.MAX_STRING", "layout.nodes.MAX_SEQUENCE")
 def capacities(patch: pytest.MonkeyPatch, folder: Path) -> None:
     refused("LAY001", lambda: Limits(string=MAX_STRING + 1))
     refused("LAY001", lambda: Limits(sequence=MAX_SEQUENCE + 1))
@@ -168,12 +167,12 @@ def folders_of_messages(patch: pytest.MonkeyPatch, folder: Path) -> None:
         refused("TYP008", lambda: TypeStore.bundled("jazzy").with_paths([folder]), "more than 3 files")
 
 
-@beyond("layout.compute.MAX_ITEMS", "layout.compute.MAX_RECORD", "codec.compile.MAX_LOOPS")
+@beyond("layout.nodes.MAX_ITEMS", "layout.nodes.MAX_RECORD", "codec.compile.MAX_LOOPS")
 def records(patch: pytest.MonkeyPatch, folder: Path) -> None:
     wide = "".join(f"Inner i{n}\n" for n in range(300)) + "=" * 80 + "\nMSG: a/Inner\n"
     wide += "".join(f"bool b{n}\n" for n in range(300))
-    refused("LAY003", lambda: compute_layout(defined(wide), "a/msg/B"), str(layout_compute.MAX_ITEMS))
-    large = f"uint8[{layout_compute.MAX_RECORD + 1}] a\n"
+    refused("LAY003", lambda: compute_layout(defined(wide), "a/msg/B"), str(nodes.MAX_ITEMS))
+    large = f"uint8[{nodes.MAX_RECORD + 1}] a\n"
     refused("LAY003", lambda: compute_layout(defined(large), "a/msg/B"))
     # Each level of types may bring one sequence: the types' own depth is reached first.
     assert store.MAX_DEPTH <= MAX_LOOPS
@@ -204,7 +203,7 @@ def objects(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
 @beyond("shm.constants.READER_LINES", "shm.constants.MAX_RETRIES", "shm.constants.MAX_BEAT_MS")
 def channels(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    from rosplc.shm.claims import Liveness
+    from rosplc.shm.attach import Liveness
 
     assert constants.reader_line(constants.READER_LINES - 1)
     with pytest.raises(IndexError):
@@ -234,15 +233,15 @@ def reasons(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
 
 @beyond(
-    "ros.dds.graph.LONGEST_NAME",
-    "ros.dds.graph.MOST_CLAIMED",
-    "ros.dds.graph.MOST_PARTICIPANTS",
-    "ros.dds.domain.MAX_DOMAIN",
+    "ros.dds.peers.LONGEST_NAME",
+    "ros.dds.peers.MOST_CLAIMED",
+    "ros.dds.peers.MOST_PARTICIPANTS",
+    "ros.dds.backend.MAX_DOMAIN",
 )
 def over_dds(patch: pytest.MonkeyPatch, folder: Path) -> None:
     pytest.importorskip("cyclonedds")
-    from rosplc.ros.dds import domain as domains
-    from rosplc.ros.dds import graph
+    from rosplc.ros.dds import backend as domains
+    from rosplc.ros.dds import peers as graph
 
     node = graph.NodeEntities("/", "n" * (graph.LONGEST_NAME + 1))
     with pytest.raises(ValueError, match="too long"):
@@ -267,10 +266,11 @@ class _Valid:
     valid_data = True
 
 
-@beyond("ros.zenoh.keys.LONGEST_TOKEN", "ros.zenoh.keys.MOST_TOKENS", "ros.zenoh.session.LARGEST_FILE")
+@beyond("ros.zenoh.keys.LONGEST_TOKEN", "ros.zenoh.keys.MOST_TOKENS", "ros.zenoh.backend.LARGEST_FILE")
 def over_zenoh(patch: pytest.MonkeyPatch, folder: Path) -> None:
     pytest.importorskip("zenoh")
-    from rosplc.ros.zenoh import keys, session
+    from rosplc.ros.zenoh import backend as session
+    from rosplc.ros.zenoh import keys
 
     token = "@ros2_lv/0/s/0/{}/NN/%/%/node"
     with pytest.raises(ValueError, match="characters"):

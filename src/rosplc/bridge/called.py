@@ -17,9 +17,8 @@ from rosplc.reasons import Reason
 from rosplc.ros import ActionClient, Backend, GoalEvent, GoalStatus, Reply, ServiceClient, action_classes
 from rosplc.shm import Answerer, Part, Reader, SlotInfo
 from rosplc.shm import constants as spec
-from rosplc.shm.attach import Mapped
+from rosplc.shm.attach import Mapped, start_of
 from rosplc.shm.calls import WORDS
-from rosplc.shm.claims import start_of
 
 _MOST_LOOKS = 8  # in one turn, at an object that is written all the time
 _ANSWERS = {outcome: answer for answer, outcome in ENDINGS.items()}

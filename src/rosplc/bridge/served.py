@@ -17,9 +17,8 @@ from rosplc.reasons import Reason
 from rosplc.ros import ActionServer, Backend, GoalStatus, ServiceServer, action_classes
 from rosplc.shm import Caller, GoalNotes, Part, SlotInfo
 from rosplc.shm import constants as spec
-from rosplc.shm.attach import Mapped
+from rosplc.shm.attach import Mapped, start_of
 from rosplc.shm.calls import WORDS
-from rosplc.shm.claims import start_of
 
 _PATIENCE_NS = 10_000_000_000
 """How long an answer to a call of an earlier bridge waits until the middleware has found its caller again."""

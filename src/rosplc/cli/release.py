@@ -58,7 +58,7 @@ def command(
 
 def _wait_for_silence(attached: Attached, topic: str) -> None:
     """Watch the writer for as long as the format gives it; SHM114 if it lives."""
-    from rosplc.shm.claims import silence_ns
+    from rosplc.shm.attach import silence_ns
 
     first = attached.snapshot().writer
     end = time.monotonic_ns() + silence_ns(first.beat_ms)

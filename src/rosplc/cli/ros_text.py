@@ -12,7 +12,7 @@ import yaml
 from rosplc.codec import Codec
 from rosplc.init.found import wire_of
 from rosplc.layout import Limits, compute_layout
-from rosplc.layout.compute import limit_paths
+from rosplc.layout.nodes import limit_paths
 from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore
 
 _SHOWN = 128  # elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does

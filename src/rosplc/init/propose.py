@@ -16,8 +16,7 @@ from rosplc.errors import LayoutError, RosplcError
 from rosplc.harmless import listed, nearest, plural
 from rosplc.init.found import Seen, Topic
 from rosplc.layout import Layout, Limits, compute_layout
-from rosplc.layout.compute import MAX_SEQUENCE, MAX_STRING
-from rosplc.layout.nodes import SequenceNode, StringNode
+from rosplc.layout.nodes import MAX_SEQUENCE, MAX_STRING, SequenceNode, StringNode
 from rosplc.model import TypeStore
 from rosplc.model.parse import full_name
 from rosplc.ros.names import validate_topic

@@ -8,8 +8,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 from rosplc.errors import LayoutError
-from rosplc.layout.compute import Limits, compute_struct
-from rosplc.layout.nodes import Node, StructNode, layout_difference, layout_text, walk
+from rosplc.layout.nodes import Limits, Node, StructNode, compute_struct, layout_difference, layout_text, walk
 from rosplc.layout.pack import Misfit, StructPacker
 from rosplc.layout.view import RecordView, StructReader, plain
 from rosplc.model import TypeStore

@@ -21,8 +21,7 @@ from rosplc._core import Reader, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm import constants as spec
 from rosplc.shm import files
-from rosplc.shm.attach import Mapped
-from rosplc.shm.claims import start_of, take_over_line, take_over_writer
+from rosplc.shm.attach import Mapped, start_of, take_over_line, take_over_writer
 from rosplc.shm.constants import Direction
 from rosplc.shm.files import NameLock, Rights, create_complete, open_plain_file
 from rosplc.shm.header import Identity, channel_error

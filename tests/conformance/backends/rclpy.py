@@ -93,7 +93,7 @@ class RclpyHarness(Harness):
         from rclpy.node import Node as NativeNode
         from rclpy.qos import QoSProfile
 
-        from rosplc.ros.rclpy.messages import message_class
+        from rosplc.ros.rclpy.endpoint import message_class
 
         context = Context()
         context.init(args=[], domain_id=self.domain)

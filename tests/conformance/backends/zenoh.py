@@ -53,8 +53,8 @@ class ZenohHarness(Harness):
         """Query without a payload, without an attachment, with a wrong one, and without a header of CDR."""
         import zenoh
 
+        from rosplc.ros.zenoh.backend import session_config
         from rosplc.ros.zenoh.keys import pack, topic_key
-        from rosplc.ros.zenoh.session import session_config
 
         type_hash = TypeStore.bundled(self.distros[0]).service_hash(type_name)
         key = topic_key(self.domain or 0, service, type_name, type_hash)
@@ -98,8 +98,8 @@ class ZenohHarness(Harness):
         import zenoh
 
         from rosplc.model import TypeStore
+        from rosplc.ros.zenoh.backend import session_config
         from rosplc.ros.zenoh.keys import pack, topic_key
-        from rosplc.ros.zenoh.session import session_config
 
         assert self.domain is not None
         store = TypeStore.bundled(self.distros[0])

@@ -9,10 +9,10 @@ from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import RosArguments
 from rosplc.ros._base import domain_number
 from rosplc.ros.arguments import split_arguments
-from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
+from rosplc.ros.dds.backend import check_peers, domain_config, domain_id
 from rosplc.ros.names import resolve_topic
 from rosplc.ros.rospy.master import is_node_uri, read_address
-from rosplc.ros.zenoh import session as zenoh
+from rosplc.ros.zenoh import backend as zenoh
 from rosplc.shm import Namespace
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals

@@ -8,9 +8,14 @@ from typing import Literal
 from rosplc.ros import EndpointInfo
 from rosplc.ros._base import explain
 from rosplc.ros.backend import Qos
-from rosplc.ros.dds.graph import LONGEST_NAME, NodeEntities, decode_announcement, encode_announcement
 from rosplc.ros.dds.idl import dds_topic, ros_topic
-from rosplc.ros.dds.peers import type_hash_in
+from rosplc.ros.dds.peers import (
+    LONGEST_NAME,
+    NodeEntities,
+    decode_announcement,
+    encode_announcement,
+    type_hash_in,
+)
 from rosplc.ros.names import dds_type_name, ros_type_name
 from tests.fuzz.choices import Choices
 

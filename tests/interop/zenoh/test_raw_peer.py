@@ -21,7 +21,7 @@ import zenoh.ext
 
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
-from rosplc.ros.zenoh.session import session_config
+from rosplc.ros.zenoh.backend import session_config
 from tests.interop.graphs import STRING, string, text_of
 from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import wait_for
@@ -252,7 +252,7 @@ def test_peer_that_stands_still_holds_nobody_up(router: Router) -> None:
     token = f"/0/1/MS/%/%/still/%data/{DDS}/{HASH}/::,9:,:,:,,"
     code = (
         "import sys, zenoh\n"
-        "from rosplc.ros.zenoh.session import session_config\n"
+        "from rosplc.ros.zenoh.backend import session_config\n"
         f"s = zenoh.open(session_config({{'connect': [{router.endpoint!r}]}}, {{}}).config)\n"
         f"u = s.declare_subscriber({RawPeer.key('/data')!r}, lambda _: None)\n"
         f"t = s.liveliness().declare_token(f'@ros2_lv/{DOMAIN}/{{s.zid()}}{token}')\n"

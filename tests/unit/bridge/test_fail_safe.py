@@ -18,7 +18,7 @@ from rosplc.config import parse_config, resolve
 from rosplc.monitor import Watch
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
-from rosplc.shm.claims import WriterProcess
+from rosplc.shm.attach import WriterProcess
 from rosplc.shm.constants import FLAG_FIRST
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for

@@ -6,8 +6,7 @@ import pytest
 
 from rosplc.errors import LayoutError, MessageTypeError
 from rosplc.layout import Limits, compute_layout
-from rosplc.layout.compute import MAX_ITEMS
-from rosplc.layout.nodes import ScalarNode, SequenceNode, StringNode, StructNode
+from rosplc.layout.nodes import MAX_ITEMS, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
 
 JAZZY = TypeStore.bundled("jazzy")

@@ -21,9 +21,10 @@ from rosbags.typesys import Stores, get_typestore
 from rosplc.errors import BackendError
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import Qos
-from rosplc.ros.dds import domain as domain_module
-from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
-from rosplc.ros.dds.graph import (
+from rosplc.ros.dds import backend as domain_module
+from rosplc.ros.dds.backend import check_peers, domain_config, domain_id
+from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
+from rosplc.ros.dds.peers import (
     ANNOUNCEMENT,
     ANNOUNCEMENT_TOPIC,
     NodeEntities,
@@ -32,7 +33,6 @@ from rosplc.ros.dds.graph import (
     encode_announcement,
     gid_size,
 )
-from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
 from tests.interop.graphs import STRING, Graph, string
 from tests.lib.waiting import wait_for
 

@@ -79,7 +79,7 @@ def refused(call: Callable[[], object]) -> RosplcError:
 
 
 def message_class(name: str) -> Any:
-    return importlib.import_module("rosplc.ros.rclpy.messages").message_class(name)
+    return importlib.import_module("rosplc.ros.rclpy.endpoint").message_class(name)
 
 
 # -- types
@@ -113,7 +113,7 @@ FIELDS = {
 def test_fields_are_written_as_generated_classes_write_them(name: str) -> None:
     """The comparison's own words are those of classes that ROS generates."""
     with double():
-        field_text = importlib.import_module("rosplc.ros.rclpy.messages").field_text
+        field_text = importlib.import_module("rosplc.ros.rclpy.endpoint").field_text
         assert {field.name: field_text(field.type) for field in STORE[name].fields} == FIELDS[name]
         assert message_class(name).get_fields_and_field_types() == FIELDS[name]
 
@@ -122,7 +122,7 @@ def test_bounds_are_part_of_the_comparison() -> None:
     """Bounded strings and sequences are written with their bounds."""
     store = STORE.with_definition("cell_msgs/msg/B", "string<=8 a\nint32[<=5] b\nstring<=3[] c\nbyte[4] d\n")
     with double():
-        field_text = importlib.import_module("rosplc.ros.rclpy.messages").field_text
+        field_text = importlib.import_module("rosplc.ros.rclpy.endpoint").field_text
         texts = [field_text(field.type) for field in store["cell_msgs/msg/B"].fields]
     assert texts == ["string<8>", "sequence<int32, 5>", "sequence<string<3>>", "octet[4]"]
 

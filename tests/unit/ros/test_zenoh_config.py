@@ -14,7 +14,7 @@ from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, open_backend
 from rosplc.ros._base import domain_number as domain_id
-from rosplc.ros.zenoh.session import session_config
+from rosplc.ros.zenoh.backend import session_config
 
 STRING = "std_msgs/msg/String"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rosplc.shm import Liveness
-from rosplc.shm.claims import silence_ns
+from rosplc.shm.attach import silence_ns
 
 _MS = 1_000_000
 

@@ -23,10 +23,18 @@ from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.names import join, validate_namespace, validate_node_name
-from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create, profile, read_peers
-from rosplc.ros.rclpy.messages import MessageClasses
+from rosplc.ros.rclpy.endpoint import (
+    MessageClasses,
+    RclpyClient,
+    RclpyPublisher,
+    RclpyServer,
+    RclpySubscription,
+    create,
+    profile,
+    read_peers,
+    service_type,
+)
 from rosplc.ros.rclpy.parameters import show
-from rosplc.ros.rclpy.services import RclpyClient, RclpyServer, service_type
 
 
 def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str, str | list[str]]]:

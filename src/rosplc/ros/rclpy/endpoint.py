@@ -7,18 +7,34 @@ being created. So the events are asked for from many to few.
 
 from __future__ import annotations
 
+import importlib
 import inspect
+import operator
+import re
+import threading
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any, Literal
 
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription as NativeSubscription
 
 from rosplc.errors import BackendError
-from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, is_cdr
-from rosplc.ros.backend import EndpointInfo, Qos
+from rosplc.model import TypeStore
+from rosplc.model.types import ArrayType, FieldType, MessageType, PrimitiveType, SequenceType, StringType
+from rosplc.ros._base import (
+    BaseClient,
+    BaseEndpoint,
+    BasePublisher,
+    BaseSubscription,
+    KeepingServer,
+    is_cdr,
+    is_service,
+)
+from rosplc.ros.backend import EndpointInfo, Qos, Reply
 from rosplc.ros.names import join
 
 _INFINITE_NS = 2**31 * 10**9  # DDS's infinite seconds; what middlewares make of it in rmw is longer
@@ -239,3 +255,234 @@ def _callbacks(endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Iterator
     for names in _EVENTS:
         # Without the default callbacks: they log through rcl what the status shows better.
         yield kind(use_default_callbacks=False, **{name: handlers[name] for name in names if name in known})
+
+
+_MANGLED = re.compile(r"(\w+)::(srv|action)::dds_::(\w+)_(?:Request|Response)_\Z")
+
+
+def service_type(name: str) -> str:
+    """Return the service's name for the type of one of its two topics, as DDS has it; others as they are."""
+    found = _MANGLED.match(name)
+    return "/".join(found.groups()) if found else name
+
+
+class _Service(RclpyEndpointBase):
+    serves = True
+
+    def _converted(self, payload: bytes, part: str) -> Any:
+        """Return a message as an object; ROS008 if the bytes are none of the type."""
+        try:
+            return deserialize_message(payload, getattr(self.entity.srv_type, part))
+        except Exception as error:
+            raise self._refusal(str(error).strip() or type(error).__name__) from error
+
+
+class RclpyServer(_Service, KeepingServer):
+    """A service that is served; see :class:`rosplc.ros.backend.ServiceServer`.
+
+    rclpy sends what a server's callback returns; one that waits keeps its callback group occupied and the
+    executor spinning. So the callback returns the request itself, and what the executor then gives to
+    ``send_response``, the request's header beside it, is kept until the answer comes.
+    """
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._attached = threading.Event()
+
+    def attach(self, entity: Any) -> None:
+        """Take over rclpy's server."""
+        self._respond, entity.send_response = entity.send_response, self._receive
+        self._attached.set()
+
+    def make(self, node: Any, *details: Any, **others: Any) -> Any:
+        """Create rclpy's server."""
+        kind, name, settings = details
+        return node.create_service(kind, name, self.hold, qos_profile=settings, **others)
+
+    def hold(self, request: Any, _response: Any) -> Any:
+        """Return the request in place of a response: the callback of rclpy's server."""
+        self._attached.wait()  # it may come before the server's creation has returned
+        return request
+
+    def _receive(self, request: Any, header: Any) -> None:
+        self._take(serialize_message(request), self.new_caller(), int(header.source_timestamp), header)
+
+    def _count(self, entity: Any) -> int:
+        return int(self._node.fitting(self))
+
+    def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
+        response = self._converted(payload, "Response")
+        try:
+            self._respond(response, origin)
+        except RuntimeError as error:
+            raise self._failed_to_send(error) from error
+        return True
+
+
+class RclpyClient(_Service, BaseClient):
+    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._futures: dict[int, Any] = {}
+        self._sending = threading.Lock()
+
+    def make(self, node: Any, *details: Any, **others: Any) -> Any:
+        """Create rclpy's client."""
+        kind, name, settings = details
+        return node.create_client(kind, name, qos_profile=settings, **others)
+
+    def attach(self, entity: Any) -> None:
+        """Take over rclpy's client."""
+        pending = entity.get_pending_request
+
+        def get_pending_request(sequence_number: int) -> Any:
+            with self._sending:  # before Kilted, a response may come before its request is noted
+                return pending(sequence_number)
+
+        entity.get_pending_request = get_pending_request
+
+    def _count(self, entity: Any) -> int:
+        try:
+            return int(entity.service_is_ready())
+        except RuntimeError:  # the context was shut down
+            return 0
+
+    def _receivers(self) -> frozenset[bytes]:
+        # Over a middleware that has no topics for services, one that is ready is all that is known.
+        return (self._node.servers(self.topic) or frozenset({b""})) if self.matched else frozenset()
+
+    def _send(self, number: int, payload: bytes) -> None:
+        request = self._converted(payload, "Request")
+        try:
+            with self._sending:
+                future = self.entity.call_async(request)
+        except RuntimeError as error:
+            raise self._failed_to_send(error) from error
+        self._futures[number] = future
+        future.add_done_callback(partial(self._receive, number))
+
+    def _receive(self, number: int, future: Any) -> None:
+        self._futures.pop(number, None)
+        if (response := future.result()) is not None:
+            self.end(number, Reply(serialize_message(response)))
+
+    def look(self) -> None:
+        """End the calls whose servers have gone: rclpy tells nobody of it."""
+        if self.calls and not self.closed:
+            self.end_orphans(self._receivers())
+
+    def _withdraw(self, number: int) -> None:
+        future = self._futures.pop(number, None)
+        if future is not None:
+            self.entity.remove_pending_request(future)
+
+    def gone(self, *servers: Any) -> None:
+        """End the calls that no other servers have received than these."""
+        super().gone(*servers)
+        for number in tuple(self._futures.keys() - self.calls.keys()):
+            self._withdraw(number)
+
+    def forget(self, number: int) -> None:
+        """Wait no longer for a call."""
+        super().forget(number)
+        self._withdraw(number)
+
+
+# How rosidl_generator_py writes a field's type (resource/_msg.py.em); `char` is uint8 there.
+_NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+
+
+# Where a class of an action keeps those that rosidl derives.
+_DERIVED = {
+    "SendGoal": "Impl.SendGoalService",
+    "GetResult": "Impl.GetResultService",
+    "FeedbackMessage": "Impl.FeedbackMessage",
+}
+_WORDS = {"msg": "message", "srv": "service", "action": "action"}
+
+
+def message_class(type_name: str) -> Any:
+    """Import a message's or service's class, or a part's (``…/Name_Request``); ROS011: not installed."""
+    package, kind, name = type_name.split("/")
+    try:
+        module = importlib.import_module(f"{package}.{kind}")
+    except Exception as error:  # whatever a half-installed package raises
+        raise BackendError(
+            "ROS011",
+            f"the Python package {package} of {type_name} cannot be imported: {error}",
+            remedy=f"Install ros-DISTRO-{package.replace('_', '-')}, or build it with colcon, and source its "
+            "setup.bash before the bridge starts.",
+        ) from error
+    base, *parts = [name] if kind == "msg" else name.split("_")
+    if not hasattr(module, base):
+        what = f"the installed package {package} has no {_WORDS[kind]} {base} ({module.__file__})"
+        raise BackendError("ROS011", what)
+    path = ".".join([base, *(_DERIVED.get(part, part) for part in parts)])
+    try:
+        found = operator.attrgetter(path)(module)
+    except AttributeError:
+        found = None
+    if not hasattr(found, "get_fields_and_field_types") and not hasattr(found, "Request"):
+        what = f"the package {package} that Python finds is not one of ROS 2 ({module.__file__})"
+        remedy = "Keep ROS 1's packages out of PYTHONPATH, and source the setup.bash of ROS 2 last."
+        raise BackendError("ROS011", what, remedy=remedy)
+    return found
+
+
+def field_text(kind: FieldType) -> str:
+    """Return a field's type as a generated class's ``get_fields_and_field_types`` writes it."""
+    if isinstance(kind, SequenceType):
+        bound = "" if kind.bound is None else f", {kind.bound}"
+        return f"sequence<{field_text(kind.element)}{bound}>"
+    if isinstance(kind, ArrayType):
+        return f"{field_text(kind.element)}[{kind.length}]"
+    if isinstance(kind, StringType):
+        return "string" if kind.bound is None else f"string<{kind.bound}>"
+    if isinstance(kind, PrimitiveType):
+        return _NAMES.get(kind.name, kind.name)
+    package, _, name = kind.name.split("/")
+    return f"{package}/{name}"
+
+
+class MessageClasses:
+    """The classes of the types of a store, the bridge's own definitions, each compared once.
+
+    The middleware's type support is the class's: were the definitions different, values would be in wrong
+    fields.
+    """
+
+    def __init__(self, store: TypeStore) -> None:
+        self._store = store
+        self._found: dict[str, Any] = {}
+
+    def __getitem__(self, type_name: str) -> Any:
+        """Return a type's class; TYP001, ROS011 if it is not installed, ROS012 if with other fields."""
+        if type_name not in self._found:
+            parts = ("_Request", "_Response") if is_service(type_name) else ("",)
+            for part in parts:
+                self._compare(self._store[type_name + part], set())
+            self._found[type_name] = message_class(type_name)
+        return self._found[type_name]
+
+    def _compare(self, message: MessageType, seen: set[str]) -> None:
+        if message.name in seen or message.name in self._found:
+            return
+        seen.add(message.name)
+        theirs = list(message_class(message.name).get_fields_and_field_types().items())
+        ours = [(field.name, field_text(field.type)) for field in message.fields]
+        if ours != theirs:
+            what = f"{message.name} is installed with another definition than the bridge has"
+            difference = _first_difference(ours, theirs)
+            raise BackendError("ROS012", f"{what} ({self._store.distro}): {difference}")
+        for name in message.needs:
+            self._compare(self._store[name], seen)
+
+
+def _first_difference(ours: list[tuple[str, str]], theirs: list[tuple[str, str]]) -> str:
+    for number, (one, other) in enumerate(zip(ours, theirs, strict=False), 1):
+        if one != other:
+            return f"field {number} is `{other[1]} {other[0]}` there, `{one[1]} {one[0]}` here"
+    more, where = (theirs, "there") if len(theirs) > len(ours) else (ours, "here")
+    name, kind = more[min(len(ours), len(theirs))]
+    return f"`{kind} {name}` exists only {where}"
