@@ -408,8 +408,7 @@ def _subscribe_plainly(
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
 
-    from rosplc.ros.dds.backend import dds_qos
-    from rosplc.ros.dds.backend import domain_config
+    from rosplc.ros.dds.backend import dds_qos, domain_config
     from rosplc.ros.dds.idl import IdlTypes, dds_topic
 
     domain = Domain(plan["domain"], domain_config(os.environ, plan["distro"]))

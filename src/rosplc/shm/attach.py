@@ -1,8 +1,8 @@
 """Opening an object that a bridge made: the state machine of spec/shm-format.md, section 9.
 
 await the file → plain and readable → identity agrees → map → (claim) → use, until it is retired; then the
-caller opens the name again. A claim may be replaced once its holder has been silent for long enough, by the
-clock of the one that wants it; the classes for that take one look per call, for scan cycles (M6, M7, M9, M14).
+caller opens the name again. A claim may be replaced once its holder has been silent for long enough, by
+the clock of the one that wants it; the classes for that take one look per call.
 """
 
 from __future__ import annotations
