@@ -21,8 +21,7 @@ if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.config.resolve import load_project
-from rosplc.demo.messages import COMMAND, command, open_command, steer
-from rosplc.demo.plan import Plan
+from rosplc.demo.plan import COMMAND, Plan, command, open_command, steer
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.process import CONFIGURATION, MAIN, read_texts, write_configuration, write_texts
 from rosplc.demo.supervisor import Demo

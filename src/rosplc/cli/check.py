@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from rosplc.config.resolve import Project, TopicPlan
     from rosplc.layout import Layout
 
-
 _SCREEN = 24  # lines that are printed without --verbose
 _WARNINGS = 6
 _WAYS = {1: "ROS → PLC", 2: "PLC → ROS"}

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from rosplc.demo.plan import Plan
     from rosplc.demo.supervisor import Outage, Result
 
-
 _UNATTENDED = 20.0
 
 

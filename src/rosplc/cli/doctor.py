@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from rosplc.doctor import Report
 
-
 _STYLES = {"error": "bold red", "warning": "bold yellow", "note": "cyan", "ok": "green"}
 _WIDTH = 80
 _INDENT = 10

@@ -38,7 +38,6 @@ from rosplc.harmless import in_bytes, plural
 if TYPE_CHECKING:
     from rosplc.recorder import Recorder, RecordingOptions, Result
 
-
 _TURN_S = 0.1
 
 

@@ -25,7 +25,6 @@ from rosplc.errors import ChannelError
 if TYPE_CHECKING:
     from rosplc.shm import Attached, Namespace
 
-
 _LOOK_S = 0.02
 
 

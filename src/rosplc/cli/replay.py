@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from rosplc.recorder.replay import Player, ReplayOptions, Target
     from rosplc.recorder.source import Source, SourceTopic
 
-
 _WAYS = {"to_plc": "→ PLC", "to_ros": "→ ROS", "": ""}
 
 

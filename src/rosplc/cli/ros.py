@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
+import os
 import queue
 import statistics
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,9 +22,7 @@ from rosplc.cli.text import print_json, say, warn
 from rosplc.cli.verb import Between, verb
 
 if TYPE_CHECKING:
-    from rosplc.bridge.ros_side import LiveTypes
-    from rosplc.init.learn import Definitions
-    from rosplc.ros import Backend, EndpointInfo
+    from rosplc.ros import EndpointInfo
 
 _LOOK_S = 5.0  # how long to look for a topic at most; the graph is complete earlier where it is small
 _WINDOW = 10_000
@@ -42,13 +40,39 @@ environment (`ROS_DISTRO`, `ROS_DOMAIN_ID`).
 """
 
 
-@dataclass
 class _Node:
     """A node of its own in the graph, and the types that it knows."""
 
-    backend: Backend
-    definitions: Definitions
-    types: LiveTypes
+    def __init__(
+        self, backend: str | None, distro: str | None, domain: int | None, types: list[Path] | None
+    ) -> None:
+        from rosplc.bridge.ros_side import LiveTypes, RosSide
+        from rosplc.config import Config, read_config
+        from rosplc.init.learn import Definitions
+        from rosplc.init.live import distro_here
+
+        logging.getLogger("rosplc").addHandler(logging.NullHandler())
+        keys: dict[str, Any] = {}
+        folders = list(types or ())
+        if (path := default_config()) is not None:
+            config = read_config(path)
+            left_out = {"node_name", "namespace", "remap"}
+            keys = config.settings.ros.model_dump(exclude_unset=True, exclude=left_out)
+            folders += config.type_folders
+        given = {"backend": backend, "distro": distro, "domain": domain}
+        keys |= {key: value for key, value in given.items() if value is not None}
+        if "distro" not in keys:
+            keys["distro"] = distro_here(keys.get("backend", "auto"), os.environ)[0]
+        side = RosSide(Config.from_dict({"ros": {**keys, "node_name": f"rosplc_cli_{os.getpid()}"}}))
+        self.definitions = Definitions(keys["distro"], folders)
+        self.types = LiveTypes(self.definitions.store)
+        self.backend, _ = side.open(self.types)
+
+    def __enter__(self) -> _Node:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.backend.close()
 
     def type_of(self, topic: str, named: str | None) -> str:
         """Return the full name of a topic's type, asked for or seen in the graph; it is known then."""
@@ -91,39 +115,6 @@ class _Node:
             subscription.close()
 
 
-@contextlib.contextmanager
-def _node(
-    backend: str | None, distro: str | None, domain: int | None, types: list[Path] | None
-) -> Iterator[_Node]:
-    import os
-
-    from rosplc.bridge.ros_side import LiveTypes, RosSide
-    from rosplc.config import Config, read_config
-    from rosplc.init.learn import Definitions
-    from rosplc.init.live import distro_here
-
-    logging.getLogger("rosplc").addHandler(logging.NullHandler())
-    keys: dict[str, Any] = {}
-    folders = list(types or ())
-    if (path := default_config()) is not None:
-        config = read_config(path)
-        keys = config.settings.ros.model_dump(exclude_unset=True, exclude={"node_name", "namespace", "remap"})
-        folders += config.type_folders
-    given = {"backend": backend, "distro": distro, "domain": domain}
-    keys |= {key: value for key, value in given.items() if value is not None}
-    if "distro" not in keys:
-        keys["distro"] = distro_here(keys.get("backend", "auto"), os.environ)[0]
-    side = RosSide(Config.from_dict({"ros": {**keys, "node_name": f"rosplc_cli_{os.getpid()}"}}))
-    definitions = Definitions(keys["distro"], folders)
-    live = LiveTypes(definitions.store)
-    joined, _ = side.open(live)
-    node = _Node(joined, definitions, live)
-    try:
-        yield node
-    finally:
-        joined.close()
-
-
 @verb
 def _list(
     *,
@@ -147,7 +138,7 @@ def _list(
     """
     if services and actions:
         raise typer.BadParameter("list services or actions, not both", param_hint="--services")
-    with _node(backend, distro, domain, types) as node:
+    with _Node(backend, distro, domain, types) as node:
         graph = node.graph()
     topics = _calls(graph.services, actions) if services or actions else graph.topics
     if as_json:
@@ -198,7 +189,7 @@ def _echo(
     from rosplc.errors import RosplcError
     from rosplc.init.found import Reader
 
-    with _node(backend, distro, domain, types) as node:
+    with _Node(backend, distro, domain, types) as node:
         type_name = node.type_of(topic, message_type)
         read = Reader(node.definitions.store, type_name)
         with node.messages(topic, type_name) as arrived:
@@ -239,7 +230,7 @@ def _hz(
         window: Messages that the average is made of.
     """
     with (
-        _node(backend, distro, domain, types) as node,
+        _Node(backend, distro, domain, types) as node,
         node.messages(topic, node.type_of(topic, None)) as arrived,
     ):
         times: deque[float] = deque(maxlen=window)
@@ -308,7 +299,7 @@ def _pub(
         raise typer.BadParameter("give the fields as YAML, such as '{data: 1.5}'", param_hint="VALUES")
     qos = Qos(qos_reliability, qos_durability, qos_depth)  # type: ignore[arg-type]
     most = 1 if once else times
-    with _node(backend, distro, domain, types) as node:
+    with _Node(backend, distro, domain, types) as node:
         name = node.type_of(topic, message_type)
         store = node.definitions.store
         message = Writer(store, name, given)

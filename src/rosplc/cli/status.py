@@ -31,7 +31,6 @@ from rosplc.harmless import listed, plural
 if TYPE_CHECKING:
     from rosplc.monitor import Picture, Watch
 
-
 _LEAST_SECONDS = 1.0
 _MOST_SECONDS = 31.0  # a beat is never promised for more than ten seconds, and three are waited for
 _FOLLOW_SECONDS = 0.5

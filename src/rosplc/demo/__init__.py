@@ -5,6 +5,4 @@ Every message carries a number and a checksum of its contents, so that what is l
 torn on the way is counted from the messages themselves.
 """
 
-from __future__ import annotations
-
 __all__: list[str] = []

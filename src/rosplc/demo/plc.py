@@ -16,8 +16,7 @@ from dataclasses import asdict
 from statistics import median, quantiles
 from typing import Any
 
-from rosplc.demo.messages import COMMAND, Opened, Tally, command, robot_topics, steer
-from rosplc.demo.plan import Plan
+from rosplc.demo.plan import COMMAND, Opened, Plan, Tally, command, robot_topics, steer
 from rosplc.demo.processes import Commands, report
 from rosplc.virtual_plc import CycleStats, ReadBlock, VirtualPlc, WriteBlock
 

@@ -12,8 +12,7 @@ import time
 from dataclasses import asdict
 
 from rosplc.codec import Codec, Wire
-from rosplc.demo.messages import COMMAND, SECOND_NS, Tally, Turtle, open_command, robot_topics
-from rosplc.demo.plan import Plan
+from rosplc.demo.plan import COMMAND, SECOND_NS, Plan, Tally, Turtle, open_command, robot_topics
 from rosplc.demo.processes import Commands, report
 from rosplc.errors import RosplcError
 from rosplc.layout import Limits, compute_layout

@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rosplc.demo.messages import COMMAND
-from rosplc.demo.plan import Plan
+from rosplc.demo.plan import COMMAND, Plan
 from rosplc.demo.processes import Child, remove_objects
 from rosplc.errors import SetupError
 

@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rosplc.demo.messages import COMMAND, robot_topics
+from rosplc.demo.plan import COMMAND, robot_topics
 from rosplc.demo.supervisor import Demo
 from rosplc.monitor.tracked import Rate
 

@@ -5,8 +5,6 @@ given (a folder in place of ``/proc``, a mapping in place of the environment);
 :mod:`rosplc.doctor.examination` gives them the real ones.
 """
 
-from __future__ import annotations
-
 from rosplc.doctor.examination import Question, examine
 from rosplc.doctor.finding import SCHEMA, Area, Finding, Kind, Level, Report
 from rosplc.doctor.kinds import KINDS

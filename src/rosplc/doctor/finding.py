@@ -17,14 +17,10 @@ SCHEMA = 1  # version of the JSON document; keys are only added under the same n
 class Level(enum.IntEnum):
     """How much a finding matters; a larger one is worse."""
 
-    OK = 0
-    """It was looked at, and is as it should be."""
-    NOTE = 1
-    """Good to know; nothing has to be done."""
-    WARNING = 2
-    """It works, or may work, but probably not as it was meant."""
-    ERROR = 3
-    """It will not work like this."""
+    OK = 0  # it was looked at, and is as it should be
+    NOTE = 1  # good to know; nothing has to be done
+    WARNING = 2  # it works, or may work, but probably not as it was meant
+    ERROR = 3  # it will not work like this
 
     @property
     def word(self) -> str:

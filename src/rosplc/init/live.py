@@ -23,7 +23,7 @@ from rosplc.init.found import Call, Found, Meter, Seen, Topic
 from rosplc.init.learn import Definitions, learn
 from rosplc.init.propose import is_of_ros_itself
 from rosplc.model import DISTROS, TypeStore
-from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
+from rosplc.ros import ROS1, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
 
 NODE = "rosplc_init"
 _ANY = "*"  # what ROS 1's master says where nobody has told the type
@@ -83,7 +83,10 @@ class LiveRobot:
         self._backend, choice = side.open(self._types)
         try:
             info = settled_graph(self._backend.graph, seconds, needed)
-            where = f"{_graph_name(self._backend, os.environ)}, over {choice.name}"
+            graph = f"domain {getattr(self._backend, 'domain', os.environ.get('ROS_DOMAIN_ID') or 0)}"
+            if self._backend.name == "rospy":
+                graph = f"the graph of {os.environ.get('ROS_MASTER_URI') or 'http://localhost:11311'}"
+            where = f"{graph}, over {choice.name}"
             self._refuse_nobody(info, where, seconds)
             why = {"distro": "as asked for" if given else why_distro}
             self.found = Found(_topics(info), where, keys, why, calls=tuple(_calls(info)))
@@ -213,12 +216,6 @@ def _take(meter: Meter, data: bytes, _: int) -> None:
 def _hash(distro: str, type_name: str) -> str:
     store = TypeStore.bundled(distro)
     return store.type_hash(type_name) if type_name in store else ""
-
-
-def _graph_name(backend: Backend, variables: Mapping[str, str]) -> str:
-    if backend.name == "rospy":
-        return f"the graph of {variables.get('ROS_MASTER_URI') or 'http://localhost:11311'}"
-    return f"domain {getattr(backend, 'domain', variables.get('ROS_DOMAIN_ID') or 0)}"
 
 
 def _topics(info: GraphInfo) -> dict[str, Topic]:

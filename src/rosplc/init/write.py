@@ -29,7 +29,6 @@ Source: TypeAlias = "LiveRobot | RecordedRobot"
 _WIDTH = 108
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
-
 SCHEMA = ".rosplc.schema.json"
 """The JSON Schema beside the configuration, by which editors complete and explain keys."""
 

@@ -21,28 +21,17 @@ class State(enum.Enum):
 
     UNREADABLE = "unreadable"
     """The object cannot be used: damaged, closed to this user, no object of this format."""
-    MISSING = "missing"
-    """The configuration names the topic, and there is no object."""
-    DEAD = "dead"
-    """Bridge or PLC hold a claim, and do not beat any more: killed, stopped, or stuck."""
-    NO_BRIDGE = "no bridge"
-    """The bridge ended in order, and left the last message."""
-    REFUSED = "refused"
-    """Messages did not fit and were refused, within the last ten seconds."""
-    LOST = "lost"
-    """Messages of a topic on which each one counts were lost, within the last ten seconds."""
-    STALE = "stale"
-    """The last message is older than the topic allows."""
-    SILENT = "silent"
-    """No message came yet, for longer than the topic allows."""
-    NO_PLC = "no PLC"
-    """No PLC task reads it, or writes it."""
-    NO_SERVER = "no server"
-    """The PLC calls a service or action of ROS, and no server is ready."""
-    UNKNOWN = "looking"
-    """Looked at for too short a time to say who is alive; or the bridge is starting."""
-    OK = "ok"
-    """Nothing is wrong; perhaps nobody publishes, where that is allowed."""
+    MISSING = "missing"  # the configuration names the topic, and there is no object
+    DEAD = "dead"  # bridge or PLC hold a claim, and do not beat any more: killed, stopped, or stuck
+    NO_BRIDGE = "no bridge"  # the bridge ended in order, and left the last message
+    REFUSED = "refused"  # messages did not fit and were refused, within the last ten seconds
+    LOST = "lost"  # messages of a topic on which each one counts were lost, within the last ten seconds
+    STALE = "stale"  # the last message is older than the topic allows
+    SILENT = "silent"  # no message came yet, for longer than the topic allows
+    NO_PLC = "no PLC"  # no PLC task reads it, or writes it
+    NO_SERVER = "no server"  # the PLC calls a service or action of ROS, and no server is ready
+    UNKNOWN = "looking"  # looked at for too short a time to say who is alive; or the bridge is starting
+    OK = "ok"  # nothing is wrong; perhaps nobody publishes, where that is allowed
 
     @property
     def severity(self) -> int:

@@ -1,7 +1,5 @@
 """The data logger: channels to MCAP files that ROS tools read, and recordings back into channels or ROS."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -326,7 +326,14 @@ class Recorder:
                 self._triggers.see(seen)
         self._raise_failure()
         if self._ring is not None:
-            self._trigger(now)
+            fired = self._triggers.take()
+            if fired and not self._waiting:
+                # The chunk of the moment is written when it is full: until then it is waited for as well.
+                self._due_ns = now + self.options.after_ns + self.options.flush_ns + _SETTLE_NS
+            self._waiting += fired
+            saving = self._saver is not None and self._saver.is_alive()
+            if self._waiting and now >= self._due_ns and not saving:
+                self._save()
 
     def _raise_failure(self) -> None:
         for error in (self.inlet.error, self._outlet.error, self._save_error, *self._triggers.problems):
@@ -404,16 +411,6 @@ class Recorder:
         return FileStore(base, self.inlet.channels, facts, split=split, bag=bag, distro=options.distro)
 
     # -- the ring buffer
-
-    def _trigger(self, now_ns: int) -> None:
-        fired = self._triggers.take()
-        if fired and not self._waiting:
-            # The chunk of the moment is written when it is full: until then it is waited for as well.
-            self._due_ns = now_ns + self.options.after_ns + self.options.flush_ns + _SETTLE_NS
-        self._waiting += fired
-        saving = self._saver is not None and self._saver.is_alive()
-        if self._waiting and now_ns >= self._due_ns and not saving:
-            self._save()
 
     def _save(self) -> None:
         """Write what the ring holds, in a thread of its own: taking messages goes on."""

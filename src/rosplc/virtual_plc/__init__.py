@@ -1,7 +1,5 @@
 """A scan-cycle stand-in for a PLC, for laptops and CI where no PLC runs."""
 
-from __future__ import annotations
-
 from rosplc.virtual_plc.call_blocks import ActionClient, ActionServer, ServiceClient, ServiceServer
 from rosplc.virtual_plc.read_block import OnStale, ReadBlock
 from rosplc.virtual_plc.task import CycleStats, Program, Task, TaskState, VirtualPlc

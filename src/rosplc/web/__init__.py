@@ -4,8 +4,6 @@ One process serves it, with the files of this package alone: no other address is
 built. It looks at channels as ``rosplc top`` does and disturbs none.
 """
 
-from __future__ import annotations
-
 from rosplc.web.access import Settings, is_loopback, new_token, read_token
 from rosplc.web.server import serve
 

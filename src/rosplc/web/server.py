@@ -61,7 +61,6 @@ _log = logging.getLogger("rosplc.web")
 _LARGEST_BYTES = 4 * 1024 * 1024
 BODY_SECONDS = 10.0  # how long a request's body may take
 
-
 ARRIVED: web.AppKey[list[Callable[[asyncio.BaseTransport | None], None]]] = web.AppKey("arrived", list)
 """Called with a connection's transport when a request's head has come."""
 

@@ -97,7 +97,7 @@ def test_ctrl_c_during_an_import_is_no_traceback(monkeypatch):
     def importing(**_: object) -> None:
         raise RuntimeError("Error calling __set_name__") from KeyboardInterrupt()
 
-    monkeypatch.setattr("rosplc.cli.streams.prepare_streams", lambda: None)
+    monkeypatch.setattr("rosplc.cli.prepare_streams", lambda: None)
     monkeypatch.setattr("rosplc.cli.app.app", importing)
     with pytest.raises(SystemExit) as caught:
         main()

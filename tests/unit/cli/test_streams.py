@@ -10,7 +10,7 @@ import pytest
 
 CHECK_FDS = """
 import os, sys
-from rosplc.cli.streams import prepare_streams
+from rosplc.cli import prepare_streams
 prepare_streams()
 fd = os.open(sys.argv[1], os.O_RDONLY)
 assert fd > 2, fd

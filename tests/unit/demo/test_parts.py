@@ -10,8 +10,17 @@ from dataclasses import asdict, replace
 import pytest
 
 from rosplc.codec import Codec, Wire
-from rosplc.demo.messages import COMMAND, Tally, Turtle, command, open_command, robot_topics, steer
-from rosplc.demo.plan import FreeDomain, Plan
+from rosplc.demo.plan import (
+    COMMAND,
+    FreeDomain,
+    Plan,
+    Tally,
+    Turtle,
+    command,
+    open_command,
+    robot_topics,
+    steer,
+)
 from rosplc.demo.processes import Child, remove_objects
 from rosplc.demo.supervisor import Outage, collect
 from rosplc.errors import SetupError

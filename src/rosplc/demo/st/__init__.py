@@ -4,6 +4,4 @@ Only in a checkout of the sources: the translator is in ``tests/st/rosplc_st`` a
 blark, whose licence (GPL) keeps it out of what rosplc depends on.
 """
 
-from __future__ import annotations
-
 __all__: list[str] = []

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.config.resolve import load_project
-from rosplc.demo.messages import COMMAND, robot_topics
-from rosplc.demo.plan import Plan
+from rosplc.demo.plan import COMMAND, Plan, robot_topics
 from rosplc.demo.plc import Program, serve_demo
 from rosplc.demo.processes import Commands, report
 from rosplc.demo.st.checkout import find_translator

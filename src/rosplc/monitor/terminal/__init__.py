@@ -3,8 +3,6 @@
 Only this package imports textual; it is part of the extra ``views``.
 """
 
-from __future__ import annotations
-
 from rosplc.monitor.terminal.app import TopApp
 
 __all__ = ["TopApp"]
