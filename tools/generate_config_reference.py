@@ -17,8 +17,10 @@ SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("topics", " (each)", ("qos", "on_stale", "classic")),
     ("services", " (each)", ("clients",)),
     ("actions", " (each)", ()),
+    ("parameters", "", ("declare",)),
 )
 MODELS = {
+    "declare": "ParameterSettings",
     "clients": "ClientSettings",
     "qos": "QosSettings",
     "on_stale": "OnStaleSettings",
@@ -39,7 +41,7 @@ def _type(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
         return ", ".join(f"`{word}`" for word in schema["enum"])
     kind = schema.get("type", "")
     if kind == "array":
-        return "list of text"
+        return "list of numbers" if "number" in str(schema.get("items")) else "list of text"
     if kind == "object":
         if "$ref" in str(schema):
             return "keys below"
@@ -51,6 +53,8 @@ def _type(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
         return "whole number" if low is None else f"{low} … {high}" if high is not None else f"from {low}"
     if kind == "boolean":
         return "`true`, `false`"
+    if not kind:
+        return "value"
     pattern = schema.get("pattern", "")
     if "Hz" in pattern:
         return "rate or duration" if "ms" in pattern else "rate"
@@ -58,7 +62,7 @@ def _type(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
 
 
 def _default(value: Any) -> str:
-    if value is None or value in ({}, []):
+    if value is None or value in ({}, [], ""):
         return ""
     return f"`{str(value).lower()}`" if isinstance(value, bool) else f"`{value}`"
 

@@ -18,6 +18,7 @@ from rosplc.bridge import rosout
 from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.leftovers import Leaving, check_names, leaving, retire_leftovers
+from rosplc.bridge.parameters import PlcParameters
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.reload import Changes, Exchange, compare
@@ -36,6 +37,7 @@ _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_Feedback
 _CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
 _APPLY = "`rosplc reload` or a restart of the bridge applies it"
+_NOT_SERVED = "the node serves its own parameters: those of the configuration are not seen in ROS"
 _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
 """Something of a stranger's is at an object's name: that topic is not carried, and looked at again later."""
 
@@ -66,6 +68,7 @@ class Bridge:
         self._types = LiveTypes(self.project.store)
         self._streams: tuple[Carried, ...] = ()
         self._leaving: tuple[Leaving, ...] = ()
+        self._parameters: PlcParameters | None = None
         self._carriers: Carriers | None = None
         # called once, with the reason, if the ROS side ends for good; the bridge itself only says so,
         # since it may be part of a larger program
@@ -128,7 +131,7 @@ class Bridge:
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
-        names = {plan.type_name for plan in self.project.topics}
+        names = {plan.type_name for plan in self.project.topics if not plan.of_parameters}
         for plan in self.project.calls:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
         check_types(self.backend, names)
@@ -155,13 +158,23 @@ class Bridge:
             self._open_port(stream)
         self._types.use(self.project.plans)
         stack.callback(self._disconnect)
+        shown = shown_parameters(self._ros.shown())
+        if (asked := self.project.parameters) is not None:
+            given = self._ros.given(asked.declared)
+            parameters = self._parameters = PlcParameters(asked, self.project.store, given, self._clock)
+            inner = [each for each in self._streams if isinstance(each, Stream) and each.plan.of_parameters]
+            self._own_topics |= {each.plan.topic: parameters for each in inner}
+            if self._owns_backend or self.backend.name != "rclpy":
+                stack.callback(parameters.serve(self.backend, shown, inner).close)
+            else:
+                self._warnings = (*self._warnings, _NOT_SERVED)
+                log.warning("%s", _NOT_SERVED)
+        # A node that was given, and rclpy's, serves its own.
+        elif self._owns_backend and self.backend.name != "rclpy" and self.project.store.ros_version == 2:
+            server = ParameterServer(self.backend, self.project.store, shown, clock=self._clock)
+            stack.callback(server.close)
         for stream in self._streams:
             self._connect(stream)
-        # A node that was given, and rclpy's, serves its own.
-        if self._owns_backend and self.backend.name != "rclpy" and self.project.store.ros_version == 2:
-            declared = shown_parameters(self._ros.shown())
-            server = ParameterServer(self.backend, self.project.store, declared, clock=self._clock)
-            stack.callback(server.close)
         if settings.diagnostics.enabled:
             diagnostics = Diagnostics(self.project.store, self.backend, self._clock)
             stack.callback(diagnostics.close)
@@ -171,6 +184,8 @@ class Bridge:
             )
         stack.callback(carriers.stop)
         carriers.replace((), self._streams)
+        if self._parameters is not None:
+            self._parameters.begin()
         heartbeat.start()
         stack.callback(heartbeat.stop)
         self._realtime.rest()
@@ -346,6 +361,8 @@ class Bridge:
             except Exception as error:  # one topic's trouble is no other's
                 log.exception("%s: the check failed", stream.plan.name)
                 stream.fail(now_ns, error)
+        if self._parameters is not None:
+            self._parameters.check(now_ns)
         if not self._config_changed and self._file_state() != self._file_seen:
             log.warning("%s: configuration changed on disk; %s", self.config.path, _APPLY)
             self._config_changed = True

@@ -72,6 +72,9 @@ def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
         for path in _differing((key,), was[key], now[key]):
             what = f"it was {_written(old, path)} and would be {_written(new, path)}"
             problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
+    if old.parameters != new.parameters and not problems:
+        what = "what the PLC has of them would change"
+        problems.wrong(source, ("parameters",), what, "", "CFG012")
 
 
 def _differing(path: tuple[str, ...], was: Any, now: Any) -> list[tuple[str, ...]]:

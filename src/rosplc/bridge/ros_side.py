@@ -9,10 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from rosplc.config.file import Config
+from rosplc.config.parameters import given_values
 from rosplc.config.resolve import OWN_SETTINGS, Plan
 from rosplc.model import TypeStore
 from rosplc.model.types import MessageType
 from rosplc.ros import ROS1, Backend, Choice, RosArguments, choose, open_backend
+from rosplc.ros.names import join
+from rosplc.ros.parameters import Parameter
 
 log = logging.getLogger("rosplc.bridge")
 
@@ -59,14 +62,21 @@ class RosSide:
             options["config"] = str((self.config.base / options["config"]).absolute())
         if backend == "rclpy":
             options["ros_args"] = (*options.get("ros_args", ()), *self.arguments.others)
-            options["parameters"] = self.shown() | options.get("parameters", {})
+            options["parameters"] = None if self.config.settings.parameters.declare else self.shown()
         return options
 
     def shown(self) -> dict[str, str | list[str]]:
         """Return what the bridge's node shows as parameters, besides the version."""
         settings, path = self.config.settings, self.config.path
         shown: dict[str, str | list[str]] = {"bridge": settings.bridge, "topics": list(settings.topics)}
-        return shown if path is None else shown | {"config": str(path.absolute())}
+        if path is not None:
+            shown["config"] = str(path.absolute())
+        return shown if settings.ros.rclpy is None else shown | settings.ros.rclpy.parameters
+
+    def given(self, declared: Iterable[Parameter]) -> dict[str, Any]:
+        """Return values of the command line for declared parameters; CFG011 if one does not fit."""
+        name, namespace, _ = self.names()
+        return given_values(self.arguments.others, join(namespace, name), declared)
 
     def open(self, store: TypeStore | LiveTypes) -> tuple[Backend, Choice]:
         """Join the graph; return the backend, and how it was chosen. Raises as ``open_backend``."""
@@ -91,7 +101,9 @@ class RosSide:
 
     def _without_effect(self) -> list[str]:
         """Return the arguments for a client library that the bridge does not follow itself."""
-        others, unused = iter(self.arguments.others), ("-p", "--params-file", "-e", "--enclave")
+        others, unused = iter(self.arguments.others), ["-e", "--enclave"]
+        if not self.config.settings.parameters.declare:
+            unused += ["-p", "--params-file"]
         return [f"{name} {next(others, '')}" for name in others if name in unused]
 
 

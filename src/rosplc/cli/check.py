@@ -280,12 +280,15 @@ def _access_words(given: dict[str, Any]) -> str:
 
 
 def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> Iterator[tuple[str, str]]:
+    from rosplc.config.settings import TopicSettings
     from rosplc.project import memory, when_silent
 
     def chosen(configured: bool) -> str:
         return "as configured" if configured else "default"
 
-    entry, to_plc = project.config.settings.topics[plan.topic], plan.direction == 1
+    # Those of parameters have every default.
+    usual = TopicSettings(type=plan.type_name, to="ros")
+    entry, to_plc = project.config.settings.topics.get(plan.topic, usual), plan.direction == 1
     yield "record", f"{plural(plan.layout.size, 'byte')}, layout id {plan.layout.layout_id}"
     if plan.port == "channel":
         parts = memory(project, plan)

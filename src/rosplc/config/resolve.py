@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from rosplc.config.file import Config, read_config
+from rosplc.config.parameters import CURRENT, TYPE, WANTED, ParametersPlan, parameters_plan
 from rosplc.config.plans import (
     ActionPlan,
     CallPlan,
@@ -71,6 +72,7 @@ class TopicPlan:
     truncate: bool = False  # what does not fit is cut, not refused
     print: bool = False  # each message is logged
     classic: ClassicPlan | None = None  # set for a topic in classic mode: a bare record instead of a channel
+    of_parameters: bool = False  # it carries the parameters of the bridge's node, and is no topic of ROS
 
     @property
     def name(self) -> str:
@@ -101,6 +103,7 @@ class Project:
     topics: tuple[TopicPlan, ...]  # in the order of the file
     services: tuple[ServicePlan, ...] = ()  # one plan for each use, in the order of the file
     actions: tuple[ActionPlan, ...] = ()  # the same
+    parameters: ParametersPlan | None = None  # their two topics are the last of ``topics``
 
     @property
     def calls(self) -> tuple[CallPlan, ...]:
@@ -186,8 +189,37 @@ def resolve(config: Config) -> Project:
             problems.add(error, config.source.line((*where, wrong)))
     services = tuple(call_plans(config, ServicePlan, store, problems))
     actions = tuple(call_plans(config, ActionPlan, store, problems))
+    parameters = parameters_plan(config, store, problems)
     problems.check()
-    return Project(config, store, namespace, tuple(plans), services, actions)
+    if parameters is not None:
+        plans += _parameter_topics(config, parameters, names, problems)
+        store = parameters.layout.store
+    problems.check()
+    return Project(config, store, namespace, tuple(plans), services, actions, parameters)
+
+
+def _parameter_topics(
+    config: Config, plan: ParametersPlan, names: dict[str, str], problems: Problems
+) -> list[TopicPlan]:
+    found = []
+    for topic, direction in ((WANTED, Direction.TO_PLC), (CURRENT, Direction.TO_ROS)):
+        if topic in names.values():
+            problems.wrong(config.source, ("topics", topic), "the name is that of an object of `parameters`")
+        # A PLC that starts takes what was wanted last, unless its own values count.
+        latched = direction is Direction.TO_ROS or plan.initial == "file"
+        found.append(
+            TopicPlan(
+                topic,
+                TYPE,
+                direction,
+                plan.layout,
+                _TO_PLC,
+                latched=latched,
+                task=plan.task,
+                of_parameters=True,
+            )
+        )
+    return found
 
 
 def _store(config: Config, problems: Problems) -> TypeStore:

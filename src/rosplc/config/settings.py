@@ -26,6 +26,7 @@ from rosplc.config.quantities import Duration, FileMode, Interval, StaleAfter, b
 from rosplc.config.yaml_source import did_you_mean
 from rosplc.model import DISTROS
 from rosplc.ros import BACKENDS, ROS1
+from rosplc.ros.parameters import Kind
 
 LONGEST_NAME = 247  # characters of a topic's or namespace's name, as in ROS
 LONGEST_TYPE = 255  # characters of a type's name
@@ -97,6 +98,7 @@ _ACTION_TYPE = r"[A-Za-z][A-Za-z0-9_]*(/action)?/[A-Za-z][A-Za-z0-9_]*"
 _CLIENT = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 
 _NAME = r"(/|~/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
+_PARAMETER = r"[A-Za-z][A-Za-z0-9_]*(\.[A-Za-z][A-Za-z0-9_]*)*"
 _LOCATOR = r"[a-z0-9_-]+/.+"
 
 TopicName = Annotated[str, _absolute("topic"), _schema(_TOPIC)]
@@ -132,6 +134,9 @@ ActionTypeName = Annotated[
     str,
     _pattern(_ACTION_TYPE, "package/action/Name, such as example_interfaces/action/Fibonacci", LONGEST_TYPE),
     _schema(_ACTION_TYPE),
+]
+ParameterName = Annotated[
+    str, _pattern(_PARAMETER, "words of letters, digits and _, with dots between them"), _schema(_PARAMETER)
 ]
 BackendName = Annotated[
     str, AfterValidator(_known_backend), WithJsonSchema({"type": "string", "enum": ["auto", *BACKENDS]})
@@ -578,6 +583,38 @@ class ActionSettings(_CallSettings):
     )
 
 
+class ParameterSettings(_Section):
+    """One parameter of the bridge's node, which is a variable of the PLC."""
+
+    type: Kind = Field(description="Its type, as `rcl_interfaces/msg/ParameterType` has it.")
+    value: Any = _f(None, "What it is at first, in the PLC's code too. Without it zero, false or empty.")
+    range: Annotated[tuple[StrictInt | float, ...], Field(min_length=2, max_length=3)] | None = _f(
+        None, "Of an integer or double: `[least, greatest]`, or `[least, greatest, step]`."
+    )
+    read_only: bool = _f(False, "Whether only the PLC's program changes it.")
+    description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "What it is, for people.")
+    capacity: StrictInt | None = _f(
+        None, "Elements of an array at most; without it `limits.sequence`.", ge=1, le=1 << 24
+    )
+    length: StrictInt | None = _f(
+        None, "Bytes of a string, or of each of a `string_array`; without it `limits.string`.", ge=1, le=65534
+    )
+
+
+class ParametersSettings(_Section):
+    """The parameters of the bridge's node."""
+
+    initial: Literal["file", "plc"] = _f(
+        "file",
+        "Whose values hold where there are none from before. `file`: these, or those of `--params-file` and "
+        "`-p`; a PLC that restarts gets the last ones again. `plc`: those that the PLC starts with, always.",
+    )
+    task: TaskName | None = _f(None, "The PLC task that takes them. Without it the first of `tasks`.")
+    declare: dict[ParameterName, ParameterSettings] = _f(
+        {}, "The parameters by name.", max_length=MOST_SERVICES
+    )
+
+
 class Settings(_Section):
     """A whole configuration file."""
 
@@ -617,6 +654,7 @@ class Settings(_Section):
     actions: dict[ActionName, ActionSettings] = _f(
         {}, "Actions by name, as ROS writes them.", max_length=MOST_SERVICES
     )
+    parameters: ParametersSettings = _f({}, "Parameters of the bridge's node: variables of the PLC.")
 
     @model_validator(mode="after")
     def _own_topics(self) -> Settings:

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
 from rosplc._version import __version__
+from rosplc.config.parameters import CURRENT, WANTED, ParametersPlan
 from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Project, object_plans
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
+from rosplc.layout.nodes import StructNode
 from rosplc.model import TypeStore
 from rosplc.plc.base import (
     ACTION_NAMES,
@@ -51,6 +53,7 @@ READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"  # the lists that hold the instanc
 SERVICE_GVL, ACTION_GVL = "ROS_Services", "ROS_Actions"
 """The lists that hold the instances of services and actions."""
 SAFE_GVL = "ROS_Safe"  # the list that holds what a message becomes when its source is silent
+PARAMETER_GVL, _PARAMETER_BLOCK = "ROS_Parameters", "RosPlc_Parameters"
 _PROGRAMS = {
     "read": "Takes what came from ROS; call it first",
     "write": "Sends to ROS; call it last",
@@ -193,6 +196,7 @@ def build_project(
     *,
     layouts: Sequence[Layout] = (),
     calls: Sequence[CallPlan] = (),
+    parameters: ParametersPlan | None = None,
 ) -> PlcProject:
     """Return the project for a set of topics, services and actions, each given once.
 
@@ -221,6 +225,7 @@ def build_project(
     own = (
         *CLASSIC_NAMES, *CALL_NAMES, *ACTION_NAMES, *HELPER_NAMES, *chain(*OWN_NAMES.values()),
         READ_GVL, WRITE_GVL, SERVICE_GVL, ACTION_GVL, SAFE_GVL, _SETTINGS_GVL,
+        PARAMETER_GVL, _PARAMETER_BLOCK,
     )  # fmt: skip
     builder = DutBuilder(store, f"{options.folder}/Types", Scope([*(item.name for item in base), *own]))
     blocks = _Blocks(builder, options)
@@ -258,6 +263,11 @@ def build_project(
     of_calls = {
         gvl: _uses(gvl, calls, blocks, indices, lines, renamings) for gvl in (SERVICE_GVL, ACTION_GVL)
     }
+    variables: list[Variable] = []
+    if parameters is not None:
+        pou, variables = _parameters(parameters, names, builder, options)
+        blocks.pous.append(pou)
+        lines["read", parameters.task].append(f"{PARAMETER_GVL}.block();")
     programs, found_tasks = programs_of(order, lines, options, builder.scope)
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     hand_written = (*base, *helpers, *own_blocks)
@@ -273,6 +283,7 @@ def build_project(
     add_list(WRITE_GVL, instances["write"], f"{one_each} set msg.")
     for gvl, found in of_calls.items():
         add_list(gvl, found, "One function block per use; programs of the project use its pins.")
+    add_list(PARAMETER_GVL, variables, "The parameters of the bridge's node; programs use and set values.")
     add_list(SAFE_GVL, _safe(topics, names["read"], builder), _SAFE_COMMENT, constant=True)
     return PlcProject(
         options.folder,
@@ -382,6 +393,30 @@ def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder
     ]
 
 
+def _parameters(
+    plan: ParametersPlan, names: Mapping[str, Mapping[str, str]], builder: DutBuilder, options: ProjectOptions
+) -> tuple[Pou, list[Variable]]:
+    """Return the block of the parameters, and the variables of their list."""
+    builder.add(plan.layout)
+    values = next(member.node for member in plan.layout.root.members if member.name == "values")
+    assert isinstance(values, StructNode)
+    dut = builder.struct(values).dut
+    ends = {
+        "wanted": f"{READ_GVL}.{names['read'][WANTED]}",
+        "current": f"{WRITE_GVL}.{names['write'][CURRENT]}",
+    }
+    text = render(
+        f"blocks/{_PARAMETER_BLOCK}.st", dut=dut, gvl=PARAMETER_GVL, plc=plan.initial == "plc", **ends
+    )
+    pou = parse_object(text, _PARAMETER_BLOCK, f"{options.folder}/Blocks")
+    assert isinstance(pou, Pou)
+    initial = initial_value(values, {plan.fields[each.name]: each.value for each in plan.declared}, builder)
+    return pou, [
+        Variable("values", dut, initial, "what holds; a program may change it"),
+        Variable("block", _PARAMETER_BLOCK, None, "takes what was set in ROS, and shows what holds"),
+    ]
+
+
 def _what(topic: PlcTopic) -> str:
     """Say in a line what an instance carries."""
     which = ""
@@ -428,7 +463,9 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
     topics, tasks = plc_topics(project), plc_tasks(project)
     settings = project.config.settings
     options = replace(options, prefix=settings.prefix)
-    return build_project(project.store, topics, tasks, options, calls=project.calls)
+    return build_project(
+        project.store, topics, tasks, options, calls=project.calls, parameters=project.parameters
+    )
 
 
 def plc_topics(project: Project) -> list[PlcTopic]:

@@ -59,13 +59,15 @@ def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[s
 
     Raises GenerationError (PLC006) for a name that is too long for matiec.
     """
-    topics = [topic for topic in plc_topics(project) if topic.classic is None]
+    inner = {plan.topic for plan in project.topics if plan.of_parameters}
+    topics = [each for each in plc_topics(project) if each.classic is None and each.topic not in inner]
     for name in [topic.topic for topic in topics] + [call.called for call in project.calls]:
         if plc == "matiec" and len(name) > _STRING:
             what = f"the name has {len(name)} characters, a string of matiec {_STRING}"
             raise GenerationError("PLC006", what, where=name)
     made = _Openplc(project.store, project.config.settings.prefix, plc)
     made.notes += [f"{plan.topic}: classic mode needs CODESYS" for plan in project.topics if plan.classic]
+    made.notes += ["parameters need CODESYS"] if inner else []
     for topic in sorted(topics, key=lambda topic: topic.topic):
         made.block(topic.layout, topic.direction)
     for call in sorted(project.calls, key=lambda call: call.name):

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal, get_args
 
 from rosplc._version import __version__
 from rosplc.clock import SYSTEM, Clock
@@ -19,10 +19,11 @@ from rosplc.model import TypeStore
 from rosplc.ros import fields
 from rosplc.ros.backend import Backend, Publisher, Qos, ServiceServer
 
-KINDS = (
-    *("bool", "integer", "double", "string", "byte_array"),
-    *("bool_array", "integer_array", "double_array", "string_array"),
-)
+Kind = Literal[
+    "bool", "integer", "double", "string", "byte_array",
+    "bool_array", "integer_array", "double_array", "string_array",
+]  # fmt: skip
+KINDS: tuple[Kind, ...] = get_args(Kind)
 """The kinds of parameters; the first is number 1 in ``rcl_interfaces/msg/ParameterType``."""
 EVENTS = "/parameter_events"
 _QOS = Qos(depth=1000)  # rmw's profiles for the services and the events of parameters
@@ -40,7 +41,7 @@ class Parameter:
     """A declared parameter."""
 
     name: str
-    kind: str  # one of :data:`KINDS`
+    kind: Kind
     value: Any  # what it is at first; bytes for a ``byte_array``
     description: str = ""
     read_only: bool = False

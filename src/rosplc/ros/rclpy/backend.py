@@ -37,8 +37,10 @@ from rosplc.ros.rclpy.endpoint import (
 from rosplc.ros.rclpy.parameters import show
 
 
-def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str, str | list[str]]]:
+def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str, str | list[str]] | None]:
     """Return ROS arguments for the bridge's node, and name → value of read-only parameters that it shows.
+
+    None instead of parameters: the node has no services of parameters, which the bridge serves.
 
     The arguments are as after ``--ros-args`` on a command line: ``["-r", "cmd_vel:=base/cmd_vel",
     "--enclave", "/cell1"]``. Raises BackendError ROS013 if a key is unknown or its value is not of its kind.
@@ -50,6 +52,8 @@ def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str,
     if not isinstance(arguments, list | tuple) or not all(isinstance(one, str) for one in arguments):
         raise BackendError("ROS013", f"ros.rclpy.ros_args is {arguments!r}; it is a list of strings")
     parameters = options.get("parameters", {})
+    if parameters is None:
+        return [one for one in arguments if one != "--ros-args"], None
     if not isinstance(parameters, Mapping) or not all(map(_is_shown, parameters.values())):
         what = f"ros.rclpy.parameters is {parameters!r}; it maps names to strings or lists of strings"
         raise BackendError("ROS013", what)
@@ -100,14 +104,23 @@ class OwnNode:
     """
 
     def __init__(
-        self, name: str, namespace: str, domain: int | None, ros_args: Sequence[str], clock: Clock
+        self,
+        name: str,
+        namespace: str,
+        domain: int | None,
+        ros_args: Sequence[str],
+        clock: Clock,
+        *,
+        parameters: bool = True,
     ) -> None:
         self.context = RclContext()
         self._clock = clock
         # Never None: rclpy would take the whole program's arguments. Without a domain it is ROS_DOMAIN_ID's.
         self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
         try:
-            self.node: Any = Node(name, context=self.context, namespace=namespace)
+            self.node: Any = Node(
+                name, context=self.context, namespace=namespace, start_parameter_services=parameters
+            )
             self._executor = SingleThreadedExecutor(context=self.context)
             self._executor.add_node(self.node)
         except BaseException:
@@ -407,12 +420,13 @@ def _open(context: Context) -> RclpyBackend:
     name, namespace = validate_node_name(context.node_name), validate_namespace(context.namespace)
     number = _base.domain_number(context.domain, context.environment)
     try:
-        own = OwnNode(name, namespace, number, ros_args, context.clock)
+        served = parameters is not None
+        own = OwnNode(name, namespace, number, ros_args, context.clock, parameters=served)
     except Exception as error:
         raise refusal(f"cannot join the graph as {join(namespace, name)}", error) from error
     backend = RclpyBackend(own.node, context.store, context.remap, context.clock, own)
     try:
-        show(own.node, parameters)
+        show(own.node, parameters or {})
     except BaseException:
         own.leave()
         raise

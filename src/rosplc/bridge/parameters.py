@@ -1,0 +1,175 @@
+"""Parameters of the bridge's node that are variables of the PLC.
+
+To the streams of the two topics this is the ROS side (:class:`rosplc.ros.backend.Backend`): what ROS wants is
+published here, and what the PLC has is subscribed to. One set is under way at a time. It has the number that
+the PLC shows once all of its values are in place, and is refused when the PLC is not seen to live any more.
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rosplc.bridge.stream import Stream
+from rosplc.clock import Clock
+from rosplc.config.parameters import TYPE, ParametersPlan
+from rosplc.model import TypeStore
+from rosplc.ros import Backend, EndpointStatus, Qos, fields
+from rosplc.ros.parameters import Done, Parameter, ParameterServer
+
+_log = logging.getLogger("rosplc.bridge")
+# For a set; a PLC is looked at each second, and seen to live when it has beaten between two looks.
+_PATIENCE_NS = {True: 10_000_000_000, False: 2_500_000_000}
+_NOT_RUNNING = "PLC is not running"
+_NOT_TAKEN = "the PLC runs, but has not taken the value; its program may be another configuration's"
+
+
+@dataclass
+class _End:
+    """The other end of one of the two streams."""
+
+    topic: str
+    type_name: str
+    qos: Qos
+    take: Callable[[bytes], None]
+    matched: int = 1
+
+    def status(self) -> EndpointStatus:
+        return EndpointStatus(self.topic, self.type_name, "in", self.matched)
+
+    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
+        self.take(payload)
+        return True
+
+    def close(self) -> None:
+        return
+
+
+@dataclass
+class _Set:
+    """Values that were asked for; ``number`` is 0 until the PLC has been given them."""
+
+    values: Mapping[str, Any]
+    done: Done
+    since_ns: int
+    number: int = 0
+
+
+@dataclass
+class PlcParameters:
+    """The PLC's parameters; ``given`` replaces configured values, as from ``--params-file``."""
+
+    plan: ParametersPlan
+    store: TypeStore
+    given: Mapping[str, Any]
+    clock: Clock
+    name: str = "parameters"
+    capabilities: frozenset[str] = frozenset()
+    _sets: deque[_Set] = field(default_factory=deque)
+    _number: int = 0  # of the last set that the PLC has taken; 0: none
+
+    def __post_init__(self) -> None:
+        self.values = {each.name: each.value for each in self.plan.declared} | dict(self.given)
+        self._lock = threading.RLock()
+        self._server: ParameterServer | None = None
+        self._give: Callable[[bytes, int], None] = lambda _data, _stamp: None
+        self._streams: Sequence[Stream] = ()
+
+    # -- what the streams see
+
+    def subscribe(
+        self, topic: str, type_name: str, qos: Qos, on_message: Callable[[bytes, int], None]
+    ) -> Any:
+        """Take how the PLC is given what is wanted."""
+        self._give = on_message
+        return _End(topic, type_name, qos, lambda _: None)
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Any:
+        """Return what the PLC's values are given to."""
+        return _End(topic, type_name, qos, self._came)
+
+    # -- the bridge's side
+
+    def serve(self, backend: Backend, shown: list[Parameter], streams: Sequence[Stream]) -> ParameterServer:
+        """Serve these, and what the node shows; the streams are connected. Raises as ``serve`` does."""
+        with self._lock:
+            self._streams = streams
+            declared = [*shown, *self.plan.declared]
+            self._server = ParameterServer(backend, self.store, declared, self.apply, clock=self.clock)
+            self._server.values.update(self.values)
+            return self._server
+
+    def begin(self) -> None:
+        """Give a new object the values of the file."""
+        if self.plan.initial == "file" and not self._streams[0].port.adopted:
+            self._restore()
+
+    def apply(self, values: Mapping[str, Any], done: Done) -> None:
+        """Have the PLC take values; see :data:`rosplc.ros.parameters.Apply`."""
+        with self._lock:
+            self._sets.append(_Set(values, done, self.clock.monotonic_ns()))
+            self._next()
+
+    @property
+    def _alive(self) -> bool:
+        return all(stream.port.status(self.clock.monotonic_ns()).peer_alive for stream in self._streams)
+
+    def _next(self) -> None:
+        """Give the PLC the set that is due, if it lives; the lock is held."""
+        if self._sets and not self._sets[0].number and self._alive:
+            due = self._sets[0]
+            due.number = secrets.randbits(63) | 1  # no other set has it, of whatever bridge
+            due.since_ns = self.clock.monotonic_ns()
+            self._put(due.number, {**self.values, **due.values})
+
+    def _put(self, number: int, values: Mapping[str, Any]) -> None:
+        named = {field: values[name] for name, field in self.plan.fields.items()}
+        self._give(fields.pack(self.store, TYPE, {"number": number, "values": named}), self.clock.time_ns())
+
+    def _restore(self) -> None:
+        """Have a PLC that begins without values take those that are known here."""
+        with self._lock:
+            self._put(secrets.randbits(63) | 1, self.values)
+
+    def _came(self, payload: bytes) -> None:
+        """Take what holds in the PLC; called by the carrier."""
+        found = fields.unpack(self.store, TYPE, payload)
+        ended = None
+        with self._lock:
+            if not found["number"] and self.plan.initial == "file":
+                self._restore()
+                return
+            self._number = found["number"]
+            values = {name: found["values"][field] for name, field in self.plan.fields.items()}
+            changed, self.values = values != self.values, values
+            if self._sets and self._sets[0].number == self._number:
+                ended = self._sets.popleft()
+            elif changed and not (self._sets and self._sets[0].number):
+                # For a PLC that starts next: the number says that nothing is asked of this one.
+                self._put(self._number, values)
+            if self._server is not None:
+                self._server.changed(values)
+        if ended is not None:
+            ended.done("")
+        with self._lock:
+            self._next()
+
+    def check(self, now_ns: int) -> None:
+        """Refuse what the PLC does not take, each second."""
+        late = []
+        with self._lock:
+            self._next()
+            alive = self._alive
+            while self._sets and now_ns - self._sets[0].since_ns > _PATIENCE_NS[alive]:
+                late.append(self._sets.popleft())
+            if any(each.number for each in late):
+                self._put(self._number, self.values)  # a PLC that comes back finds nothing to take
+        why = _NOT_TAKEN if alive else _NOT_RUNNING
+        for each in late:
+            _log.warning("%s: %s", ", ".join(each.values), why)
+            each.done(why)
