@@ -12,6 +12,7 @@ from rosplc.shm import Direction
 from rosplc.shm.constants import IDENTITY, STATE_RETIRED, WRITER_LINE
 from tests.verification.c_plc import LANGUAGES, CMachine
 from tests.verification.plc_cell import READ, Cell, layout_of, pattern, target, targets
+from tests.verification.virtual_cell import CANNOT, VirtualMachine
 
 
 @pytest.fixture(params=targets())
@@ -21,14 +22,19 @@ def codesys(request: pytest.FixtureRequest) -> Iterator[Cell]:
         yield made
 
 
-@pytest.fixture(params=[*targets(), *LANGUAGES])
+@pytest.fixture(params=[*targets(), *LANGUAGES, "virtual"])
 def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
-    """Give each PLC side: the blocks for CODESYS, and those of the C library."""
+    """Give each PLC side: the blocks for CODESYS, those of the C library, and the virtual PLC."""
+    why = CANNOT.get(request.node.originalname) if request.param == "virtual" else None
+    if why:
+        request.applymarker(pytest.mark.xfail(reason=why, strict=True, raises=AssertionError))
     with made_cell(request.param) as made:
         yield made
 
 
 def made_cell(kind: str) -> Cell:
+    if kind == "virtual":
+        return Cell(machine=VirtualMachine)
     if kind in LANGUAGES:
         return Cell(machine=lambda folder: CMachine(kind, folder))
     return Cell(target(kind))
