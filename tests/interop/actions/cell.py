@@ -7,11 +7,13 @@ import json
 import subprocess
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rosplc.reasons import Reason
 from rosplc.ros.actions import GoalStatus
+from rosplc.shm import GoalNotes, Namespace, Part, attach
 from rosplc.shm.constants import ErrorNumber
 from rosplc.virtual_plc import ActionClient, ActionServer
 from tests.e2e.cell import Bridge
@@ -88,6 +90,7 @@ class Cell:
             f"actions:\n  /move: {{type: {FIBONACCI}, server: ros}}\n"
             f"  /cell: {{type: {FIBONACCI}, server: plc, accept_within: 60s}}\n"
         )
+        self._namespace = Namespace(prefix)
         self.client, self.server = ActionClient("/move", prefix=prefix), ActionServer("/cell", prefix=prefix)
         self.fed: list[list[int]] = []
         self.bridge = Bridge(self._path, environment)
@@ -121,6 +124,11 @@ class Cell:
         client = self.client
         self.until(lambda: not client.xBusy, "the end of the goal")
         return client.xDone, client.xAborted, client.eStatus, client.eError
+
+    def noted(self) -> int:
+        """Return how often the bridge has noted who waits for a result: once for each goal."""
+        with attach(self._namespace, "/cell", part=Part.GOAL) as goals:
+            return GoalNotes(goals)._number
 
     def restart(self) -> None:
         """Kill the bridge, and start another one."""
@@ -170,8 +178,11 @@ def the_plc_sends_goals(cell: Cell, start: StartPeer) -> None:
     peer.close()
 
 
-def the_plc_carries_goals_out(cell: Cell, start: StartPeer) -> None:
-    """As its program decides; a goal that it has accepted goes on with another bridge."""
+def the_plc_carries_goals_out(cell: Cell, start: StartPeer, *, remembered: bool = False) -> None:
+    """As its program decides; a goal that it has accepted goes on with another bridge.
+
+    Where who asked for a result is ``remembered``, the other bridge answers that; else the client asks again.
+    """
     server = cell.server
     cell.until(lambda: server.xAttached, "the bridge")
     peer = start(use="/cell")
@@ -212,21 +223,32 @@ def the_plc_carries_goals_out(cell: Cell, start: StartPeer) -> None:
     begin(4)
     server.xAbort = True
     cell.until(lambda: said(4, "status") == [GoalStatus.ABORTED], "the result")
+    noted = cell.noted()
     begin(6)
+    if remembered:
+        cell.until(lambda: cell.noted() > noted, "the request for the result")
     cell.restart()
     # A request that no server was known for is lost.
     asks = itertools.count()
 
-    def ask() -> None:
+    def ask(**order: int) -> None:
         if next(asks) % 100 == 0:
-            peer.tell(cancel=6)
+            peer.tell(**order)
         cell.scan()
 
-    repeat_until(ask, lambda: server.xCancelRequested, "a request through another bridge", every=0.005)
+    repeat_until(
+        partial(ask, cancel=6),
+        lambda: server.xCancelRequested,
+        "a request through another bridge",
+        every=0.005,
+    )
     server.xAcceptCancel = True
     cell.until(lambda: 0 in said(6, "canceling"), "the agreement")
+    server.result.sequence = [6]
     server.xCanceled = True
-    cell.scan()
+    again = cell.scan if remembered else partial(ask, ask=6)
+    repeat_until(again, lambda: said(6, "status"), "the result through another bridge", every=0.005)
+    assert (said(6, "status")[0], said(6, "sequence")[0]) == (GoalStatus.CANCELED, [6])
     begin(8)
     server.xSucceed = True
     cell.until(lambda: said(8, "status") == [GoalStatus.SUCCEEDED], "the result of a later goal")

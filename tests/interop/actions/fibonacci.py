@@ -182,17 +182,26 @@ class Client:
         def decided(response: Any) -> None:
             say(goal=order, accepted=bool(response.accepted))
             if response.accepted:
-                self._get.call(ended, goal_id=self._id(key))
-
-        def ended(response: Any) -> None:
-            say(goal=order, status=int(response.status), sequence=numbers(response.result.sequence))
+                self.ask(order)
 
         goal = self._node.make("test_msgs/action/Fibonacci_Goal", order=order)
         self._send.call(decided, goal_id=self._id(key), goal=goal)
 
+    def _key(self, order: int) -> bytes:
+        (key,) = (key for key, known in self._orders.items() if known == order)
+        return key
+
+    def ask(self, order: int) -> None:
+        """Ask for a goal's result."""
+
+        def ended(response: Any) -> None:
+            say(goal=order, status=int(response.status), sequence=numbers(response.result.sequence))
+
+        self._get.call(ended, goal_id=self._id(self._key(order)))
+
     def cancel(self, order: int) -> None:
         """Ask for a goal to be canceled."""
-        (key,) = (key for key, known in self._orders.items() if known == order)
+        key = self._key(order)
         zero = self._node.make("builtin_interfaces/msg/Time", sec=0, nanosec=0)
         info = self._node.make("action_msgs/msg/GoalInfo", goal_id=self._id(key), stamp=zero)
         self._cancel.call(

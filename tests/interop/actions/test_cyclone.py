@@ -27,11 +27,18 @@ CYCLONE = (
 )
 
 
-@pytest.mark.parametrize("scenario", [the_plc_sends_goals, the_plc_carries_goals_out])
+@pytest.mark.parametrize(
+    "scenario",
+    [the_plc_sends_goals, partial(the_plc_carries_goals_out, remembered=True)],
+    ids=["sent", "served"],
+)
 def test_actions(
     scenario: Callable[[Cell, StartPeer], None], tmp_path: Path, shm_namespace: Namespace
 ) -> None:
-    """Goals, decisions, feedback, requests to cancel and results pass, also after kills."""
+    """Goals, decisions, feedback, requests to cancel and results pass, also after kills.
+
+    A result that the client asked a killed bridge for is delivered by the next one.
+    """
     with free_domain() as domain:
         ros = f"{{backend: dds, distro: kilted, domain: {domain}}}"
         command = [sys.executable, "-m", "tests.interop.actions.cyclone_peer", str(domain)]

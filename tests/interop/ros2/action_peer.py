@@ -1,9 +1,10 @@
 """A node with rclpy's own action server or client of test_msgs/Fibonacci: no code of rosplc in it.
 
 Started as ``python action_peer.py DOMAIN NAME``. It reads ``{"serve": ACTION}``, ``{"use": ACTION}``,
-``{"send": ORDER}``, ``{"cancel": ORDER}`` and ``{"look": ACTION}``. It prints ``{"ready": ACTION}``, after a
-look whether there is a ``server``, and with a goal's order ``accepted``, ``feedback``, ``canceling`` with a
-code, and ``status`` with a ``sequence``; the server adds ``began`` and ``canceled``.
+``{"send": ORDER}``, ``{"ask": ORDER}`` for the result again, ``{"cancel": ORDER}`` and ``{"look": ACTION}``.
+It prints ``{"ready": ACTION}``, after a look whether there is a ``server``, and with a goal's order
+``accepted``, ``feedback``, ``canceling`` with a code, and ``status`` with a ``sequence``; the server adds
+``began`` and ``canceled``.
 
 The server rejects orders below 0. It sends the numbers up to the order as feedback until there are so many,
 or for ever from 50 on; then the goal succeeds, or is aborted if the order is odd. It refuses to cancel 77.
@@ -105,6 +106,9 @@ def main() -> None:
             client.send_goal_async(Fibonacci.Goal(order=order), feedback).add_done_callback(
                 partial(decided, order)
             )
+        elif "ask" in words:
+            order = words["ask"]
+            goals[order].get_result_async().add_done_callback(partial(ended, order))
         elif "look" in words:
             say(goal=0, server=client.server_is_ready())
         else:
