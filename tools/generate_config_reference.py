@@ -18,6 +18,7 @@ SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("services", " (each)", ("clients",)),
     ("actions", " (each)", ()),
     ("parameters", "", ("declare",)),
+    ("transforms", " (each)", ()),
 )
 MODELS = {
     "declare": "ParameterSettings",

@@ -24,7 +24,10 @@ actions:
   /called: {type: example_interfaces/action/Fibonacci, server: ros}
   /served: {type: example_interfaces/action/Fibonacci, server: plc}
 """
-OWN_TOPICS = "rosout: {plc: true}"
+OWN_TOPICS = """
+rosout: {plc: true}
+transforms: {tool: {target: base_link, source: tool0}}
+"""
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"
 
 

@@ -268,6 +268,7 @@ _register("ROS019", "backend does not support this quality of service", "Remove 
 _register("ROS020", "ROS graph is empty", "Start the robot's nodes, and compare domain (ROS_DOMAIN_ID), network (also ROS_LOCALHOST_ONLY) and ROS version; for ROS 1 use --distro noetic.")
 _register("ROS021", "peer's services use another protocol", "Set ros.backend: rclpy: DDS has no single service protocol, and over dds only nodes on rmw_cyclonedds are understood.")
 _register("ROS022", "service has several servers", "Stop all but one of the named nodes, or rename their services: each server executes a request, and the first response counts.")
+_register("ROS023", "transform is not available", "See the message for the frame. `ros2 run tf2_tools view_frames` (ROS 1: `rosrun tf view_frames`) shows all; clocks of the robot's computers may differ.")
 
 _register("PLC001", "generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")

@@ -15,6 +15,7 @@ from rosplc.bridge.classic import ClassicPorts
 from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.served import Served, ServedGoals
 from rosplc.bridge.stream import Stream, ToPlc, ToRos
+from rosplc.bridge.transforms import Transforms, TransformToPlc
 from rosplc.bridge.use import IDLE_NS, Use
 from rosplc.clock import Clock
 from rosplc.config.plans import CallPlan
@@ -260,6 +261,7 @@ class Carriers:
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
         self._calls = CallPorts(context, tick_ns)
+        self._transforms = Transforms(context)
         kinds: dict[tuple[str, Direction | None], tuple[str, Ports[Any]]] = {
             # Those that a ROS side may hang come first: nothing has changed then.
             ("channel", None): ("rosplc-calls", self._calls),
@@ -279,6 +281,9 @@ class Carriers:
         if isinstance(plan, CallPlan):
             return self._calls.make(plan)
         carrier = self.of(plan)
+        if plan.transform is not None:
+            own = self._transforms, plan, self._context
+            return TransformToPlc(*own, carrier.ports, carrier.ports.wake)
         if plan.direction is Direction.TO_PLC:
             return ToPlc(plan, self._context, carrier.ports, carrier.ports.wake)
         return ToRos(plan, self._context, carrier.ports)

@@ -29,6 +29,7 @@ from rosplc.bridge.use import Use
 from rosplc.clock import SYSTEM, Clock
 from rosplc.config.file import Config, read_config
 from rosplc.config.resolve import Project, open_doors, resolve, rights
+from rosplc.config.transforms import TF_MESSAGE
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 from rosplc.ros.parameters import ParameterServer, shown_parameters
@@ -131,7 +132,9 @@ class Bridge:
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
-        names = {plan.type_name for plan in self.project.topics if not plan.of_parameters}
+        own = {TF_MESSAGE for plan in self.project.topics if plan.transform}
+        of_ros = (p for p in self.project.topics if not (p.of_parameters or p.transform))
+        names = own | {plan.type_name for plan in of_ros}
         for plan in self.project.calls:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
         check_types(self.backend, names)

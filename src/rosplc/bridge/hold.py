@@ -249,6 +249,22 @@ class Unsent(Stage):
         return () if item is None else (item,)
 
 
+class Samples(Stage):
+    """Passes on a message that ``make`` returns, from a time on at a steady rate."""
+
+    def __init__(self, first_ns: int, period_ns: int, make: Callable[[int], Item]) -> None:
+        self.due_ns: int = first_ns
+        self._period_ns, self._make = period_ns, make
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
+        """Return a message if one is due."""
+        if now_ns < self.due_ns:
+            return ()
+        # A bridge that was stopped owes no messages.
+        self.due_ns = max(self.due_ns + self._period_ns, now_ns)
+        return (self._make(now_ns),)
+
+
 class Substitute(Stage):
     """Publishes a message of the configuration's at a steady rate while the PLC is silent."""
 

@@ -21,7 +21,7 @@ from rosplc.config.yaml_source import Problems
 from rosplc.errors import BackendError, RosplcError
 from rosplc.shm import Namespace
 
-_MAY_CHANGE = frozenset({"topics", "services", "actions", "limits", "types", "tasks", "programs"})
+_MAY_CHANGE = {"topics", "services", "actions", "transforms", "limits", "types", "tasks", "programs"}
 
 
 @dataclass(frozen=True)

@@ -286,7 +286,7 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
     def chosen(configured: bool) -> str:
         return "as configured" if configured else "default"
 
-    # Those of parameters have every default.
+    # Those of parameters and transforms have every default.
     usual = TopicSettings(type=plan.type_name, to="ros")
     entry, to_plc = project.config.settings.topics.get(plan.topic, usual), plan.direction == 1
     yield "record", f"{plural(plan.layout.size, 'byte')}, layout id {plan.layout.layout_id}"
@@ -306,7 +306,10 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
     yield "takes", f"{how}; PLC task {plan.task}, {cycle}"
     if names is not None:
         yield "in the PLC", f"{'read' if to_plc else 'written'} with {names[0]} (block {names[1]})"
-    yield from _qos_rows(plan, chosen(bool(entry.qos.model_fields_set) or entry.latched is not None))
+    if (wanted := plan.transform) is not None:
+        yield "transform", f"{wanted.source} in {wanted.target}, every {_time(wanted.rate_ns)}"
+    else:
+        yield from _qos_rows(plan, chosen(bool(entry.qos.model_fields_set) or entry.latched is not None))
     yield "stale after", f"{plan.stale_after_ns / 1e6:g} ms" if plan.stale_after_ns else "never"
     yield "when silent", when_silent(project, plan)
     if to_plc:

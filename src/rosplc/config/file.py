@@ -65,7 +65,7 @@ def parse_config(text: str, *, name: str = "<text>", base: Path | None = None) -
     return _parse(Path(name), text, base or Path())
 
 
-_BY_NAME = ("tasks", "topics", "services", "actions")
+_BY_NAME = ("tasks", "topics", "services", "actions", "transforms")
 
 
 def json_schema() -> dict[str, Any]:

@@ -6,7 +6,7 @@ import grp
 import pwd
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -30,7 +30,8 @@ from rosplc.config.plans import (
     usual_slots,
 )
 from rosplc.config.quantities import format_duration
-from rosplc.config.settings import TaskSettings, TopicSettings
+from rosplc.config.settings import TaskSettings, TopicSettings, TransformSettings
+from rosplc.config.transforms import DEFINITION, TYPE_NAME, topics_of
 from rosplc.config.yaml_source import Absent, Problems
 from rosplc.described import description_of
 from rosplc.errors import ConfigError, LayoutError, RosplcError
@@ -73,6 +74,7 @@ class TopicPlan:
     print: bool = False  # each message is logged
     classic: ClassicPlan | None = None  # set for a topic in classic mode: a bare record instead of a channel
     of_parameters: bool = False  # it carries the parameters of the bridge's node, and is no topic of ROS
+    transform: TransformSettings | None = None  # set for a topic that no node publishes: the bridge fills it
 
     @property
     def name(self) -> str:
@@ -162,11 +164,12 @@ def resolve(config: Config) -> Project:
     check_ros(config, problems)
     store = _store(config, problems)
     problems.check()
+    if settings.transforms:
+        store = store.with_definition(TYPE_NAME, DEFINITION)
     namespace = Namespace(settings.prefix, settings.shm.directory)
     plans = []
     names: dict[str, str] = {}
-    for topic, entry in settings.topics.items():
-        where = ("topics", topic)
+    for where, topic, entry, transform in topics_of(settings):
         name = namespace.object_name(topic)
         if entry.classic is not None:
             name = entry.classic.name or classic_name(topic)
@@ -183,7 +186,7 @@ def resolve(config: Config) -> Project:
         if layout is None:
             continue
         try:
-            plans.append(_plan(config, topic, entry, task, layout))
+            plans.append(replace(_plan(config, topic, entry, task, layout), transform=transform))
         except (ConfigError, LayoutError) as error:
             wrong = "slots" if entry.classic is None else "classic"
             problems.add(error, config.source.line((*where, wrong)))

@@ -97,6 +97,7 @@ _SERVICE_TYPE = r"[A-Za-z][A-Za-z0-9_]*(/srv)?/[A-Za-z][A-Za-z0-9_]*"
 _ACTION_TYPE = r"[A-Za-z][A-Za-z0-9_]*(/action)?/[A-Za-z][A-Za-z0-9_]*"
 _CLIENT = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 
+_FRAME = r"[A-Za-z0-9_][A-Za-z0-9_./-]{0,79}"
 _NAME = r"(/|~/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
 _PARAMETER = r"[A-Za-z][A-Za-z0-9_]*(\.[A-Za-z][A-Za-z0-9_]*)*"
 _LOCATOR = r"[a-z0-9_-]+/.+"
@@ -106,6 +107,9 @@ ServiceName = Annotated[str, _absolute("service"), _schema(_TOPIC)]
 ActionName = Annotated[str, _absolute("action"), _schema(_TOPIC)]
 ClientName = Annotated[
     str, _pattern(_CLIENT, "a letter, then at most 31 letters, digits or _"), _schema(_CLIENT)
+]
+FrameName = Annotated[
+    str, _pattern(_FRAME, "a frame: letters, digits, _ . / or -, no / first"), _schema(_FRAME)
 ]
 Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
 GraphName = Annotated[str, _pattern(_NAME, "a name such as /cmd_vel, cmd_vel or ~/cmd_vel"), _schema(_NAME)]
@@ -615,6 +619,18 @@ class ParametersSettings(_Section):
     )
 
 
+class TransformSettings(_Section):
+    """The pose of one frame in another, from the transforms on `/tf` and `/tf_static`."""
+
+    target: FrameName = Field(description="The frame that the pose is given in, such as `base_link`.")
+    source: FrameName = Field(description="The frame whose pose it is, such as `tool0`.")
+    rate_ns: Annotated[Interval, between("1ms", "1h")] = _f(
+        "50Hz", "How often the PLC is given the pose, such as `100Hz` or `10ms`."
+    )
+    max_age_ns: StaleAfter = _f("1s", "Age from which a pose is not valid unless it is static, or `never`.")
+    task: TaskName | None = _f(None, "The PLC task that reads it. Without it the first of `tasks`.")
+
+
 class Settings(_Section):
     """A whole configuration file."""
 
@@ -655,6 +671,9 @@ class Settings(_Section):
         {}, "Actions by name, as ROS writes them.", max_length=MOST_SERVICES
     )
     parameters: ParametersSettings = _f({}, "Parameters of the bridge's node: variables of the PLC.")
+    transforms: dict[ClientName, TransformSettings] = _f(
+        {}, "Poses of frames for the PLC, by a name of your choice.", max_length=MOST_SERVICES
+    )
 
     @model_validator(mode="after")
     def _own_topics(self) -> Settings:

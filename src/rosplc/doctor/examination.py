@@ -454,7 +454,7 @@ class _Examination:
         def type_hash(name: str) -> str:
             return "" if silent else project.store.type_hash(name)
 
-        of_ros = [plan for plan in self._topics if not plan.of_parameters]
+        of_ros = [plan for plan in self._topics if not (plan.of_parameters or plan.transform)]
         yield from graph.judge_graph(seen, of_ros, type_hash, self._calls, bridge_runs=runs)
 
     # Generated code.

@@ -13,6 +13,7 @@ from typing import Any, Literal, cast
 
 import jinja2
 
+from rosplc.config.transforms import TransformError
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
@@ -44,7 +45,10 @@ CALL_NAMES = (
 ACTION_NAMES = ("RosPlc_GoalStatus", "RosPlc_ActionClient", "RosPlc_ActionServer")
 CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
 """Names that no generated object may take, whether or not a project has classic topics."""
-OWN_NAMES = {"log": ("RosPlc_LogWriter", "RosPlc_LogLevel", "RosPlc_Log")}
+OWN_NAMES = {
+    "log": ("RosPlc_LogWriter", "RosPlc_LogLevel", "RosPlc_Log"),
+    "pose": ("RosPlc_Pose", "RosPlc_TransformError"),
+}
 """The objects of each topic of the bridge's own; the first is its instance's."""
 _OF_BRIDGES = (
     "DESCRIPTION", "OTHER_BRIDGE", "OTHER_USER", "REPLACED", "NOT_PLAIN_FILE", "READ_ONLY", "DIRECTORY",
@@ -59,6 +63,7 @@ _COMMON = {
     "bit_patterns": ("FNV_OFFSET", "FNV_PRIME", "CRC_POLYNOMIAL"),
     "errors": tuple(number for number in constants.ErrorNumber if number.name not in _OF_BRIDGES),
     "reasons": tuple(constants.Reason),
+    "transform_errors": tuple(TransformError),
     "titles": {number.value: CODES[f"SHM{number.value}"].title for number in constants.ErrorNumber},
 }
 

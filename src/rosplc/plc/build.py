@@ -68,6 +68,8 @@ def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
     if topic.classic is not None:
         arguments[1] = f"tWait := {time_literal(classic_wait(topic.classic, cycle_ns) * 1_000_000)}"
     arguments += read_arguments(topic, f"{SAFE_GVL}.{name}")
+    if topic.max_age_ns:
+        arguments.append(f"tMaxAge := {time_literal(topic.max_age_ns)}")
     return f"{gvl}.{name}({', '.join(arguments)});"
 
 
@@ -252,7 +254,8 @@ def build_project(
             types = builder.members(topic.layout)
             values = {"block": block_name, "instance": name, "task": topic.task, "types": types}
             block_name = OWN_NAMES[topic.own][0]
-            own_blocks += read_objects("own", OWN_NAMES[topic.own], f"{options.folder}/Blocks", **values)
+            if not any(item.name == block_name for item in own_blocks):
+                own_blocks += read_objects("own", OWN_NAMES[topic.own], f"{options.folder}/Blocks", **values)
         names_of = {"sTopic": topic.topic}
         if topic.classic is not None:
             names_of = {"sMemory": topic.classic.name, "sSemaphore": topic.classic.semaphore}
@@ -470,6 +473,7 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
 
 def plc_topics(project: Project) -> list[PlcTopic]:
     """Return a configuration's topics as the PLC sees them."""
+    log = "/rosout" if project.config.settings.rosout.plc else ""
     return [
         PlcTopic(
             topic=plan.topic,
@@ -483,7 +487,8 @@ def plc_topics(project: Project) -> list[PlcTopic]:
             in_order=plan.every,
             latched=plan.latched,
             classic=plan.classic,
-            own="log" if plan.topic == "/rosout" and project.config.settings.rosout.plc else "",
+            own="pose" if plan.transform else "log" if plan.topic == log else "",
+            max_age_ns=plan.transform.max_age_ns if plan.transform else 0,
         )
         for plan in project.topics
     ]

@@ -1,0 +1,274 @@
+"""Transforms for the PLC: what ROS nodes publish on /tf and /tf_static, as a pose for each configured entry.
+
+A pose is what tf2's BufferCore returns for the latest common time: interpolated, never extrapolated.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from operator import itemgetter
+from typing import Any, NamedTuple, TypeAlias
+
+from rosplc.bridge import hold
+from rosplc.bridge.port import Context
+from rosplc.bridge.stream import ToPlc
+from rosplc.codec import Codec
+from rosplc.config.resolve import TopicPlan
+from rosplc.config.transforms import FRAME_BYTES, TF_MESSAGE, TransformError
+from rosplc.layout import Limits, compute_layout
+from rosplc.ros import Backend, EndpointStatus, Qos, Subscription
+
+KEEP_NS = 10_000_000_000  # how far the buffer reaches back, as tf2's by default
+_QOS = {
+    "/tf": Qos(depth=1000),
+    "/tf_static": Qos(durability="transient_local", depth=1000),  # each publisher keeps its own
+}
+_MOST = 4096  # transforms in a message
+_LEAST_BYTES = 72  # of a transform in a message
+_LONGEST_FRAME = 255
+_NOT_UNIT = 0.01  # how far a rotation's squared length may be from 1, as in tf2
+_LARGEST = 2**32 - 1
+
+Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
+"""Translation x, y, z in m, then rotation as quaternion x, y, z, w: a child frame in its parent."""
+_Link: TypeAlias = tuple[int, str, Pose]  # stamp in ns since 1970, parent, pose in it
+_STAMP = itemgetter(0)
+_IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def compose(outer: Pose, inner: Pose) -> Pose:
+    """Return the pose of a frame that is at ``inner`` in a frame that is at ``outer``."""
+    tx, ty, tz, ax, ay, az, aw = outer
+    x, y, z, bx, by, bz, bw = inner
+    scale, dot = 2 * aw * aw - 1, 2 * (ax * x + ay * y + az * z)
+    return (
+        tx + scale * x + dot * ax + 2 * aw * (ay * z - az * y),
+        ty + scale * y + dot * ay + 2 * aw * (az * x - ax * z),
+        tz + scale * z + dot * az + 2 * aw * (ax * y - ay * x),
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by + ay * bw + az * bx - ax * bz,
+        aw * bz + az * bw + ax * by - ay * bx,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return the pose of the parent in the child."""
+    x, y, z, qx, qy, qz, qw = pose
+    return compose((0.0, 0.0, 0.0, -qx, -qy, -qz, qw), (-x, -y, -z, 0.0, 0.0, 0.0, 1.0))
+
+
+def interpolate(one: Pose, other: Pose, ratio: float) -> Pose:
+    """Return the pose ``ratio`` of the way: on a straight line, and turned the shorter way round."""
+    dot = sum(a * b for a, b in zip(one[3:], other[3:], strict=True))
+    angle, first, second = math.acos(min(1.0, abs(dot))), 1.0, 0.0
+    if angle:
+        first, second = (math.sin(part * angle) / math.sin(angle) for part in (1 - ratio, ratio))
+    second = math.copysign(second, dot)
+    x, y, z = (a + (b - a) * ratio for a, b in zip(one[:3], other[:3], strict=True))
+    qx, qy, qz, qw = (a * first + b * second for a, b in zip(one[3:], other[3:], strict=True))
+    return x, y, z, qx, qy, qz, qw
+
+
+class Found(NamedTuple):
+    """What a lookup found."""
+
+    error: TransformError
+    frame: str  # what the error is about; without an error the frame whose transform is the oldest
+    stamp_ns: int = 0  # the newest common time; 0 if the whole chain is static
+    static: bool = False
+    pose: Pose = _IDENTITY  # the source in the target
+
+
+class Buffer:
+    """The transforms of the last seconds; from any thread."""
+
+    def __init__(self, keep_ns: int = KEEP_NS) -> None:
+        self._keep_ns = keep_ns
+        self._lock = threading.Lock()
+        self._links: dict[str, list[_Link]] = {}  # by child, the oldest first; of a static one the newest
+        self._static: set[str] = set()
+        self._parents: set[str] = set()
+
+    def put(self, child: str, parent: str, stamp_ns: int, pose: Pose, *, static: bool = False) -> str:
+        """Take a transform; return why it is ignored, or an empty text.
+
+        As in tf2 the first of two with the same stamp counts, silently.
+        """
+        x, y, z, *rotation = pose
+        square = sum(q * q for q in rotation)
+        if not child or not parent or child == parent:
+            return "it needs two frames"
+        if not all(map(math.isfinite, pose)) or abs(square - 1) > _NOT_UNIT:
+            return f"{pose} is no translation and unit quaternion"
+        qx, qy, qz, qw = (q / math.sqrt(square) for q in rotation)
+        with self._lock:
+            self._parents.add(parent)
+            links = self._links.setdefault(child, [])
+            if static is not (child in self._static):
+                links.clear()
+                (self._static.add if static else self._static.discard)(child)
+            link = stamp_ns, parent, (x, y, z, qx, qy, qz, qw)
+            if static:
+                links[:] = [link]
+            elif links and stamp_ns < links[-1][0] - self._keep_ns:
+                return f"it is {(links[-1][0] - stamp_ns) / 1e9:.0f} s older than the newest"
+            else:
+                at = bisect_right(links, stamp_ns, key=_STAMP)
+                if not at or links[at - 1][0] != stamp_ns:
+                    links.insert(at, link)
+                while links[0][0] < links[-1][0] - self._keep_ns:
+                    del links[0]
+        return ""
+
+    def lookup(self, target: str, source: str) -> Found:
+        """Return the pose of a frame in another one at the newest time common to the chain between them."""
+        with self._lock:
+            for frame in (target, source):
+                if frame not in self._links and frame not in self._parents:
+                    return Found(TransformError.UNKNOWN_FRAME, frame)
+            ups, downs = (list(dict(self._walk(frame, None))) for frame in (source, target))
+            common = next((frame for frame in downs if frame in ups), None)
+            if common is None:
+                loop = next((ends[-1] for ends in (ups, downs) if ends[-1] in self._links), None)
+                kind = TransformError.NOT_CONNECTED if loop is None else TransformError.LOOP
+                return Found(kind, loop or ups[-1])
+            chain = ups[: ups.index(common)] + downs[: downs.index(common)]
+            moving = [frame for frame in chain if frame not in self._static]
+            oldest = min(moving, key=lambda frame: self._links[frame][-1][0] or math.inf, default="")
+            time = self._links[oldest][-1][0] if oldest else 0
+            above, below = (dict(self._walk(frame, time)) for frame in (source, target))
+            top = next((frame for frame in below if frame in above), None)
+            if top is None:  # at that time the chain was another one, or is not known
+                ends = [list(above)[-1], list(below)[-1]]
+                unknown = next((frame for frame in ends if frame in self._links), None)
+                kind = TransformError.NOT_CONNECTED if unknown is None else TransformError.NO_COMMON_TIME
+                return Found(kind, unknown or ends[0])
+            pose = compose(inverse(below[top]), above[top])
+            return Found(TransformError.NONE, oldest, time, not moving, pose)
+
+    def _walk(self, frame: str, time_ns: int | None) -> Iterator[tuple[str, Pose]]:
+        """Yield a frame and its ancestors, each once, with the frame's pose in it; None: the newest links."""
+        pose, seen = _IDENTITY, set[str]()
+        while frame not in seen:
+            yield frame, pose
+            seen.add(frame)
+            if (link := self._at(frame, time_ns)) is None:
+                return
+            frame, pose = link[1], pose if time_ns is None else compose(link[2], pose)
+
+    def _at(self, child: str, time_ns: int | None) -> _Link | None:
+        links = self._links.get(child)
+        if not links or not time_ns or child in self._static:
+            return links[-1] if links else None
+        at = bisect_left(links, time_ns, key=_STAMP)
+        if at == len(links) or (not at and links[0][0] != time_ns):
+            return None
+        end, next_parent, after = links[at]
+        start, parent, before = links[at - 1]
+        if end == time_ns:
+            return links[at]
+        if parent == next_parent:
+            before = interpolate(before, after, (time_ns - start) / (end - start))
+        return time_ns, parent, before
+
+
+class Transforms:
+    """What a bridge receives of transforms, for as long as an entry uses it; from any thread."""
+
+    def __init__(self, context: Context) -> None:
+        self.buffer = Buffer()
+        self._context = context
+        self._lock = threading.Lock()  # of the users and their subscriptions
+        self._users = 0
+        self._subscriptions: list[Subscription] = []
+
+    def join(self, backend: Backend, like: Codec) -> None:
+        """Subscribe, for the first user, on the wire of a codec; raises as the backend does."""
+        with self._lock:
+            self._users += 1
+            codecs: dict[int, Codec] = {}
+            for topic, qos in _QOS.items() if self._users == 1 else ():
+                receive = partial(self._receive, topic, like, codecs)
+                self._subscriptions.append(backend.subscribe(topic, TF_MESSAGE, qos, receive))
+
+    def leave(self) -> None:
+        """Unsubscribe, after the last user."""
+        with self._lock:
+            self._users -= 1
+            while self._subscriptions and not self._users:
+                self._subscriptions.pop().close()
+                self.buffer = Buffer()
+
+    def _receive(self, topic: str, like: Codec, codecs: dict[int, Codec], data: bytes, _: int) -> None:
+        # Messages of each size have a codec with just enough room.
+        room = min(_MOST, 1 << (len(data) // _LEAST_BYTES).bit_length())
+        if (codec := codecs.get(room)) is None:
+            layout = compute_layout(like.layout.store, TF_MESSAGE, Limits(_LONGEST_FRAME, room, {}))
+            codec = codecs[room] = Codec(layout, like.wire)
+        for each in codec.layout.view(codec.decode(data)).transforms:
+            stamp, position, turn = each.header.stamp, each.transform.translation, each.transform.rotation
+            pose = position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w
+            child, parent = (name.removeprefix("/") for name in (each.child_frame_id, each.header.frame_id))
+            stamp_ns, static = stamp.sec * 10**9 + stamp.nanosec, topic == "/tf_static"
+            if ignored := self.buffer.put(child, parent, stamp_ns, pose, static=static):
+                words = f"{topic}: {child!r} in {parent!r} is ignored: {ignored}"
+                self._context.warnings.warn((topic, child), self._context.clock.monotonic_ns(), words)
+
+    def status(self) -> EndpointStatus | None:
+        """Return the state of the topic that has a problem, else of /tf, with the publishers of both."""
+        found = [subscription.status() for subscription in tuple(self._subscriptions)]
+        shown = next((each for each in found if each.code), found[0] if found else None)
+        return shown and replace(shown, matched=sum(each.matched for each in found))
+
+
+class TransformToPlc(ToPlc):
+    """One entry: at its rate the carrier's thread looks the pose up and passes it on."""
+
+    def __init__(self, transforms: Transforms, plan: TopicPlan, *arguments: Any) -> None:
+        super().__init__(plan, *arguments)
+        assert plan.transform is not None
+        self._wanted, self._transforms, self._joined = plan.transform, transforms, False
+        self.hold.stages.append(hold.Samples(self._now(), plan.transform.rate_ns, self._sample))
+
+    def _connect(self, backend: Backend) -> None:
+        self._joined = True
+        self._transforms.join(backend, self.codec)
+
+    def disconnect(self) -> None:
+        """Leave the subscriptions to the others; harmless twice."""
+        if self._joined:
+            self._joined = False
+            self._transforms.leave()
+
+    def endpoint(self) -> EndpointStatus | None:
+        """Return the state of the subscriptions."""
+        return self._transforms.status()
+
+    def _sample(self, now_ns: int) -> hold.Item:
+        wanted = self._wanted
+        found = self._transforms.buffer.lookup(wanted.target, wanted.source)
+        age, error = 0, found.error
+        if found.stamp_ns:
+            age = max(0, self.context.clock.time_ns() - found.stamp_ns)
+            if wanted.max_age_ns and age > wanted.max_age_ns:
+                error = TransformError.TOO_OLD
+        if error:
+            why = f"{error.name.lower().replace('_', ' ')}: {found.frame}"
+            self.note(now_ns, f"{wanted.source} in {wanted.target}: {why}", "ROS023")
+        x, y, z, qx, qy, qz, qw = found.pose
+        rotation = {"x": qx, "y": qy, "z": qz, "w": qw}
+        value = {
+            "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": rotation},
+            "age_ms": min(age // 1_000_000, _LARGEST),
+            "error": error,
+            "is_static": found.static,
+            "frame": found.frame.encode()[:FRAME_BYTES].decode(errors="ignore"),
+        }
+        self._came(now_ns)
+        return self.codec.encode(self.plan.layout.pack(value)), max(0, found.stamp_ns)
