@@ -205,8 +205,6 @@ def reasons() -> str:
         "",
         "import enum",
         "",
-        '__all__ = ["Reason"]',
-        "",
         "",
         "class Reason(enum.IntEnum):",
         '    """Why a call ended; spec/shm-format.md, section 11.2."""',

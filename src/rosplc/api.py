@@ -17,8 +17,6 @@ from rosplc.monitor import ObjectState, find_objects
 from rosplc.shm import Attached, Description, Direction, Namespace, Reader, SlotInfo, Snapshot, Writer
 from rosplc.shm import attach as attach_object
 
-__all__ = ["Channel", "attach", "include_dir", "topics"]
-
 _REOPEN_SECONDS = 0.1
 _MOVED_SECONDS = 1.0
 

@@ -6,8 +6,6 @@ import threading
 import time
 from typing import Protocol
 
-__all__ = ["SYSTEM", "Clock", "SystemClock"]
-
 
 class Clock(Protocol):
     """Time, and waiting for it."""

@@ -15,8 +15,6 @@ from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Attached, Description, Direction, Part
 
-__all__ = ["described_layout", "description_of", "layout_of"]
-
 
 def description_of(
     layout: Layout,

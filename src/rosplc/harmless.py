@@ -7,8 +7,6 @@ import logging
 import sys
 from collections.abc import Iterable
 
-__all__ = ["harmless", "in_bytes", "listed", "log_to_stderr", "nearest", "one_line", "plural", "shorten"]
-
 
 def harmless(text: str) -> str:
     """Return text with every character that a terminal would act upon written out."""

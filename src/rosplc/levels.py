@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import enum
 
-__all__ = ["Level", "format_age"]
-
 
 class Level(enum.IntEnum):
     """How things stand; the numbers are those of diagnostic_msgs/msg/DiagnosticStatus."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import enum
 
-__all__ = ["Reason"]
-
 
 class Reason(enum.IntEnum):
     """Why a call ended; spec/shm-format.md, section 11.2."""

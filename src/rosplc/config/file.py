@@ -15,8 +15,6 @@ from rosplc.config.settings import MOST_CLIENTS, Settings
 from rosplc.config.yaml_source import KeyPath, Problems, YamlSource, did_you_mean, read_yaml
 from rosplc.errors import ConfigError
 
-__all__ = ["RENAMED", "Config", "json_schema", "parse_config", "read_config", "rename_keys"]
-
 RENAMED = {"rate": "expected_rate", "depth": "slots"}
 """Keys of a topic that 0.1.0 called otherwise; they work, with a warning, until 0.3.0."""
 
