@@ -81,7 +81,7 @@ verify-long: $(VENV)/.installed $(VENV)/.core ## the long tests; VERIFY_MINUTES=
 	@$(RUN) long --minutes "$(VERIFY_MINUTES)"
 
 .PHONY: lint
-lint: $(VENV)/.installed ## ruff and the dependency rule (seconds)
+lint: $(VENV)/.installed ## ruff, the dependency rule and words to avoid (seconds)
 	@$(RUN) lint
 
 .PHONY: types

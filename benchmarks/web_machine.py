@@ -138,7 +138,7 @@ def sources(count: int) -> dict[str, Source]:
 
 
 def bridge(prefix: str, count: int, stopped: threading.Event) -> None:
-    """Stand in the bridge's place: write what comes from the robot, take what the PLC says."""
+    """Take the bridge's place: write what comes from the robot, take what the PLC says."""
     topics = sources(count)
     writers: list[tuple[Source, Binding]] = [
         (source, bind(topic, source.type, limits=source.limits, prefix=prefix, slots=16, name="cell1"))
@@ -164,7 +164,7 @@ def bridge(prefix: str, count: int, stopped: threading.Event) -> None:
 
 
 def plc(prefix: str, count: int, stopped: threading.Event) -> None:
-    """Stand in the PLC's place: read every topic, steer with some."""
+    """Take the PLC's place: read every topic, steer with some."""
     reads = [ReadBlock(topic, prefix=prefix) for topic, source in sources(count).items() if source.read]
     writes = {topic: WriteBlock(topic, prefix=prefix) for topic in COMMANDS}
     machine = VirtualPlc()

@@ -3,7 +3,7 @@
     python -m benchmarks.web_page [--rounds N] [--json]
 
 A process in the bridge's place writes 200 channels. "Loaded" is from the navigation's start until the row
-of the last channel stands there, drawn; "a value" from the moment at which a message was written until the
+of the last channel is drawn; "a value" from the moment at which a message was written until the
 browser has changed the text of its field. Server and browser share the machine with the writer.
 """
 

@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def value(message: object, path: str) -> object:
-    """Return what stands at a path such as ``pose.position.x``."""
+    """Return what is at a path such as ``pose.position.x``."""
     for name in path.split("."):
         message = getattr(message, name)
     return message

@@ -114,7 +114,7 @@ class Program:
         self._reader.join()
 
     def stop(self) -> None:
-        """Let it stand still."""
+        """Stop it."""
         self.process.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:
@@ -220,7 +220,7 @@ class ClassicCell:
 
     @property
     def image(self) -> bytes:
-        """What stands in the memory."""
+        """What the memory holds."""
         return self.path.read_bytes()
 
     def write(self, number: int) -> None:

@@ -127,6 +127,7 @@ def lint(outcome: Outcome) -> None:
     step(outcome, "import-linter", [str(BIN / "lint-imports"), "--no-logo"])
     own = ["--no-logo", "--config", "benchmarks/pyproject.toml"]
     step(outcome, "import-linter, rosplc-bench", [str(BIN / "lint-imports"), *own])
+    step(outcome, "words", [sys.executable, "tools/check_words.py"])
 
 
 def types(outcome: Outcome) -> None:

@@ -1,4 +1,4 @@
-"""Hooks of MkDocs for this site: what lies beside docs/ comes along, and the indexes are the navigation.
+"""Hooks of MkDocs for this site: what is beside docs/ is part of it, and the indexes are the navigation.
 
 * A link that leads out of ``docs/`` is followed: the pages of ``spec/`` and the like become pages of the
   site, any other file is shown as a page of its own, and a folder as its README or a list of its files.

@@ -1,7 +1,7 @@
 """What the drawings of the format show, taken from objects that the C core made.
 
 Nothing here states a number of the format. Each scene makes a real object in a folder that goes away again,
-lets the C core write into it, and returns the words that stand there.
+lets the C core write into it, and returns the words that are there.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ PAGE = REFERENCE / "python-api.md"
 ERRORS = """\
 ## Errors
 
-All derive from `RosplcError` and have `code`, `what`, `where` and `remedy`. What each code means stands in
+All derive from `RosplcError` and have `code`, `what`, `where` and `remedy`. The meaning of each code is in
 [error codes](errors.md).
 
 | class | codes | raised for |

@@ -40,7 +40,7 @@ class Result:
         asked: Handles that were to be made.
         delivered: Serial numbers in the box, in order.
         mishaps: What must never have happened: done twice, collided, unfinished.
-        faults: What was broken, and amid what.
+        faults: What was broken, and during what.
         plc: ``python`` or ``st``.
         seconds: How long it took.
     """
@@ -71,7 +71,7 @@ class Cell:
 
     Attributes:
         prefix: The bridge's prefix.
-        broken: What was broken, and amid what.
+        broken: What was broken, and during what.
         away: What is broken at present.
     """
 
@@ -173,7 +173,7 @@ class Cell:
                 )
         last = 0
         for kind, phase, share in (("bridge", PLACING, 5), ("estop", REMOVING, 3), ("plc", PLACING, 2)):
-            least = max(last, self.handles // share)  # in the course of things, each amid a hand-over
+            least = max(last, self.handles // share)  # in the course of things, each during a hand-over
             last = least + 1
             yield (
                 kind,
@@ -187,7 +187,7 @@ class Cell:
     def _break(self, kind: str) -> None:
         word = ("idle", "assembling", "placing", "removing")[self.world["phase"]]
         where = "pressing" if self.world["cylinder"] > 0 else word
-        self.broken.append(f"{kind}: amid {where} handle {self.world['placed']}")
+        self.broken.append(f"{kind}: during {where} handle {self.world['placed']}")
         self.away = kind
         if kind == "bridge" and self._bridge is not None:
             self._kill(self._bridge)

@@ -1,6 +1,6 @@
 """The machine's wiring: inputs and outputs as single bytes in a file that both sides map.
 
-It stands for a fieldbus. Its master counts; where the count stands still for a tenth of a second the outputs
+It stands for a fieldbus. Its master counts; where the count is still for a tenth of a second the outputs
 fall off, as they do on a real one when the PLC stops.
 """
 

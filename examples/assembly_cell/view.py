@@ -1,4 +1,4 @@
-"""The cell in a terminal: drawn anew on a screen, told line by line elsewhere."""
+"""The cell in a terminal: drawn again on a screen, told line by line elsewhere."""
 
 from __future__ import annotations
 

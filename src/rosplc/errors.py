@@ -5,7 +5,7 @@ Every error that a user can meet is a :class:`RosplcError`. Its ``code`` names a
 never changes its meaning. Numbers below 1000 with the prefix ``SHM`` are also the error
 numbers that a PLC's function block shows; ``spec/shm-format.md`` section 9 lists those.
 
-This module stands at the bottom of the dependency order and imports nothing of rosplc.
+This module is at the bottom of the dependency order and imports nothing of rosplc.
 """
 
 from __future__ import annotations

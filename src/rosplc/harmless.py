@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 def harmless(text: str) -> str:
     """Return text with every character that a terminal would act upon written out."""
-    # Names in an object come from whoever made it: no escape sequence may reach the terminal.
+    # Names in an object come from its maker: no escape sequence may reach the terminal.
     return "".join(
         char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode()
         for char in text

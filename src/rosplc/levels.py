@@ -17,7 +17,7 @@ class Level(enum.IntEnum):
 def format_age(age_ns: int) -> str:
     """Return an age in the precision that a person needs: 0.2 s, 14 s, 3 min, 5 h.
 
-    Coarse on purpose: what stands still then has a text that stands still.
+    Coarse on purpose: what does not change then has a text that does not change.
     """
     seconds = age_ns / 1e9
     if seconds < 10:

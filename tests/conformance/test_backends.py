@@ -1,4 +1,4 @@
-"""What every ROS backend does alike, whatever middleware it stands on.
+"""What every ROS backend does alike, whatever its middleware.
 
 The tests run over the harnesses of ``backends/registry.py``. Where a middleware honestly cannot
 do something, its harness says so (:class:`~tests.conformance.backends.base.Abilities`), and the
@@ -469,7 +469,7 @@ def test_slow_receiver_keeps_the_newest(graph: Harness) -> None:
 
 
 def test_write_never_waits_for_a_blocked_receiver(graph: Harness) -> None:
-    """Far more than any queue holds can be written while the receiver stands still, and nothing hangs."""
+    """Far more than any queue holds can be written while the receiver is stopped, and nothing hangs."""
     outbox = graph.node("talker").advertise("/chatter", STRING, Qos(depth=10))
     inbox = graph.node("listener").subscribe("/chatter", STRING, Qos(depth=10), "gate")
     wait_for(lambda: outbox.matched() and inbox.matched())
@@ -801,7 +801,7 @@ def test_endpoints_may_be_used_from_many_threads(graph: Harness) -> None:
 
 
 def test_endpoint_may_be_asked_while_it_closes(graph: Harness) -> None:
-    """Whoever asks an endpoint at the moment in which it closes gets an answer, and closing succeeds."""
+    """An endpoint that is asked at the moment in which it closes answers, and closing succeeds."""
     node, other = graph.node("node"), graph.node("other")
     other.subscribe("/down", STRING)
     other.advertise("/up", STRING)

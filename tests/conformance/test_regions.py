@@ -1,4 +1,4 @@
-"""Every region vector, read by the product and by an independent reader, means what stands beside it."""
+"""Every region vector, read by the product and by an independent reader, means what is written beside it."""
 
 from __future__ import annotations
 
@@ -244,7 +244,7 @@ def test_there_are_vectors(folder: str) -> None:
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 @pytest.mark.parametrize("name", VALID)
 def test_a_valid_object_is_read(name: str, implementation: str, tmp_path: Path) -> None:
-    """Identity, self-description, head and messages are those that stand beside the image."""
+    """Identity, self-description, head and messages are those written beside the image."""
     vector = VALID[name]
     place(vector, "regions", tmp_path)
     with opened(implementation, tmp_path, {}) as found:

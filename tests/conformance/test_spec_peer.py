@@ -101,7 +101,7 @@ def newest_taken(attached: Attached) -> int:
 
 
 def test_peer_reads_every_vector(programs: Path, tmp_path: Path) -> None:
-    """The vectors mean to the peer what stands beside them, as they do to the product."""
+    """The vectors mean to the peer what is written beside them, as they do to the product."""
     for folder, vectors in (("regions", VALID), ("hostile", HOSTILE)):
         for name, vector in vectors.items():
             directory = tmp_path / name

@@ -154,7 +154,7 @@ def test_killed_during_creation(shm_namespace: Namespace) -> None:
 
 
 def test_layout_change_while_attached(shm_namespace: Namespace) -> None:
-    """Whoever is attached when the layout changes sees SHM111, opens again, and reads the new messages."""
+    """One that is attached when the layout changes sees SHM111, opens again, and reads the new messages."""
     open_channel(shm_namespace).close()
     script = """
 import sys

@@ -90,7 +90,7 @@ def test_hard_link_to_another_file_is_refused(shared: Namespace, which: str) -> 
 
 
 def test_program_writes_through_no_hard_link(shared: Namespace) -> None:
-    """Whoever attaches to write refuses an object that has a second name."""
+    """A program that attaches to write refuses an object that has a second name."""
     open_channel(shared).close()
     os.link(shared.path(_TOPIC), Path(shared.directory) / "second")
     refused("SHM121", lambda: attach(shared, _TOPIC, write=True))

@@ -1,6 +1,6 @@
 """Somebody with the right to write an object cuts it: what a bridge cannot prevent, and how it comes back.
 
-An object cannot be sealed against this: the kernel seals memory files alone (the first test says so). Whoever
+An object cannot be sealed against this: the kernel seals memory files alone (the first test says so). What
 touches a page that is gone gets SIGBUS. See docs/explanation/threat-model.md.
 """
 
@@ -59,7 +59,7 @@ def _await_beats(namespace: Namespace, child: subprocess.Popen[bytes]) -> None:
 def test_a_bridge_whose_object_was_cut_comes_back(
     tmp_path: Path, shm_namespace: Namespace, size: int
 ) -> None:
-    """The bridge dies of SIGBUS or makes the object anew; started again, it makes it anew and carries."""
+    """The bridge dies of SIGBUS or creates the object again; restarted, it creates it again and carries."""
     file = tmp_path / "cell.yaml"
     file.write_text(
         f"prefix: {shm_namespace.prefix}\nros: {{backend: memory}}\nbeat: 20ms\n"

@@ -158,7 +158,7 @@ def test_a_full_disk_ends_a_recording_cleanly(shm_namespace: Namespace, tmp_path
 
 
 def test_a_limit_on_file_sizes_ends_a_recording_cleanly(shm_namespace: Namespace, tmp_path: Path) -> None:
-    """A file that may not become larger gets its end all the same."""
+    """A file that may not become larger still gets its end."""
     limited = "import resource, signal\nresource.setrlimit(resource.RLIMIT_FSIZE, (60000, 60000))\n" + _FULL
     with talking(shm_namespace):
         child = start_child(limited, shm_namespace.prefix, tmp_path / "a")

@@ -250,5 +250,5 @@ def test_each_user_is_one_click_from_a_tutorial(pages: dict[str, Page], person: 
     ],
 )
 def test_what_belongs_to_an_item_is_indented_by_four(text: str, shown: str) -> None:
-    """Nested lists and blocks keep their place; what stands in a block is left alone."""
+    """Nested lists and blocks keep their place; a block's content is left alone."""
     assert indented(text) == shown

@@ -3,7 +3,7 @@
 Read with ``ast`` from https://github.com/ros2/rclpy, ``rclpy/rclpy/*.py``: branch humble at 3.3.15
 (b488272b), jazzy at 7.1.3 (85415f71), rolling at 8.0.0 (ba72a017, December 2024, on the way to
 Kilted). Annotations are left out, defaults that are no plain values are ``...``. What is written in
-C++ there (handles) stands at the end, from ``rclpy/src/rclpy/*.cpp``.
+C++ there (handles) is at the end, from ``rclpy/src/rclpy/*.cpp``.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ def double(distro: str = "jazzy", paths: Iterable[str] = ()) -> Iterator[Any]:
     """Make ``import rclpy`` find the double, as on a machine with that ROS 2 distribution.
 
     Args:
-        distro: ``humble`` or ``jazzy``; it also stands in ``ROS_DISTRO``.
+        distro: ``humble`` or ``jazzy``; it is also in ``ROS_DISTRO``.
         paths: Further folders to import from.
     """
     before = os.environ.get("ROS_DISTRO")

@@ -1,4 +1,4 @@
-"""The example cell: whatever dies amid a hand-over, nothing is done twice and nothing is lost."""
+"""The example cell: whatever dies during a hand-over, nothing is done twice and nothing is lost."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def ros1() -> Iterator[Graph]:
 def test_values_cross_between_ros1_and_the_plc(
     ros1: Graph, kind: str, tmp_path: Path, shm_prefix: str
 ) -> None:
-    """Every value that a ROS 1 node sends stands in the PLC, and every one that the PLC writes reaches it."""
+    """Every value that a ROS 1 node sends reaches the PLC, and every one that the PLC writes reaches it."""
     peer = ros1.peer(kind, "robot")
     heard, labels = (
         peer.subscribe("/pose", "geometry_msgs/PoseStamped"),
@@ -153,7 +153,7 @@ def test_bytes_that_are_no_message_stop_at_the_bridge(ros1: Graph, tmp_path: Pat
 
 @pytest.mark.verify(minutes=2)
 def test_everything_dies_and_comes_back(ros1: Graph, tmp_path: Path, shm_prefix: str) -> None:
-    """Master, bridge and robot are killed amid the stream, one after the other, and each time it goes on."""
+    """Master, bridge and robot are killed in the stream, one after the other, and each time it goes on."""
     path = config(tmp_path, shm_prefix)
     with ExitStack() as stack:
         bridge = Bridge(path, ros1.variables)

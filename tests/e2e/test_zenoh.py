@@ -208,7 +208,7 @@ def stack() -> Iterator[ExitStack]:
 def test_values_cross_between_zenoh_and_the_plc(
     stack: ExitStack, mode: str, tmp_path: Path, shm_prefix: str
 ) -> None:
-    """Every value that a robot on Zenoh sends stands in the PLC, and every one of the PLC's reaches it."""
+    """Every value that a robot on Zenoh sends reaches the PLC, and every one of the PLC's reaches it."""
     cell = Cell(stack, mode, tmp_path, shm_prefix)
     cell.news_crosses()
     begin = {topic: len(stream.sent) for topic, stream in cell.streams.items()}

@@ -22,7 +22,7 @@ from tests.fuzz.targets import TARGETS
 
 
 def minimize(names: list[str], cache: Path, shared: Path) -> int:
-    """Write the repository's corpora anew from what the fuzzers have found."""
+    """Write the repository's corpora again from what the fuzzers have found."""
     for name in names:
         if name not in [path.name for path in cache.glob("*")]:
             continue

@@ -24,7 +24,7 @@ _MOST_FILES = 80
 
 
 def inputs(name: str) -> list[Path]:
-    """Return the inputs of a target that stand in the repository."""
+    """Return the inputs of a target that are in the repository."""
     return [
         path
         for top in (CORPUS, REGRESSIONS)

@@ -1,4 +1,4 @@
-"""What a fuzzer has done so far, in a file that it maps: whoever kills it still knows.
+"""What a fuzzer has done so far, in a file that it maps: the one that kills it still knows.
 
 The file is a row of little-endian 64-bit words: executions, bytes, and, for targets that count
 kinds of input, one word for each kind.

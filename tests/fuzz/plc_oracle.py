@@ -1,6 +1,6 @@
 """Whether generated PLC code says what its model says, and nothing that a name has smuggled in.
 
-Structured Text is cut into tokens, XML and the import script are parsed, and what stands in them is
+Structured Text is cut into tokens, XML and the import script are parsed, and what is in them is
 compared with the project: a name or a text that became syntax shows as one statement, one element or
 one object too many.
 """

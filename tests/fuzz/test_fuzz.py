@@ -53,7 +53,7 @@ def test_known_inputs_are_refused_or_accepted(names: list[str]) -> None:
 
 
 def test_the_corpus_is_small() -> None:
-    """What stands in the repository stays small, and every target has something of its own there."""
+    """What is in the repository stays small, and every target has something of its own there."""
     sizes = [path.stat().st_size for path in CORPUS.rglob("*") if path.is_file()]
     assert sum(sizes) < MOST_BYTES
     assert {path.name for path in CORPUS.iterdir() if path.is_dir()} == set(TARGETS)

@@ -71,7 +71,7 @@ class Peer:
                 self.lines.append(line)
 
     def stop(self) -> None:
-        """Let the program stand still."""
+        """Stop the program."""
         self._process.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:

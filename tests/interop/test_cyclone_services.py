@@ -52,7 +52,7 @@ class Node(RmwNode):
 
 
 class Cell:
-    """The backend, on a clock that stands still, and what its server has been asked."""
+    """The backend, on a stopped clock, and what its server has been asked."""
 
     def __init__(self, domain: int) -> None:
         self.clock = SteppedClock()

@@ -306,7 +306,7 @@ def test_killed_node_leaves_the_graph(graph: Graph) -> None:
 
 
 def test_stopped_peer_does_not_stop_us(graph: Graph, peer: StartPeer) -> None:
-    """A reliable subscriber that stands still costs itself messages; the others get theirs."""
+    """A reliable subscriber that is stopped costs itself messages; the others get theirs."""
     got: list[str] = []
     publisher = graph.node("cell").advertise("/data", STRING, Qos(depth=10))
     healthy = graph.node("other").subscribe(

@@ -1,4 +1,4 @@
-"""A clock that stands still until a test steps it."""
+"""A clock that is stopped until a test steps it."""
 
 from __future__ import annotations
 

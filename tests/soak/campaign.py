@@ -269,7 +269,7 @@ class Campaign:
         return Round(number, fault.name, recovery, tuple(found), inflicted, checked)
 
     def _start_over(self) -> None:
-        """After a round that did not end well: everything anew, so that the next says something again."""
+        """After a round that did not end well: everything again, so that the next says something again."""
         cell = self._cell
         cell.counters.control["flood"] = 1
         for part in cell.parts.values():

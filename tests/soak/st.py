@@ -188,7 +188,7 @@ class Program:
         counters.control["plc_scans"] += 1
 
     def _obey(self) -> None:
-        """Do what the campaign orders: stand still inside a lock, move all instances, open names again."""
+        """Do what the campaign orders: stop inside a lock, move all instances, open names again."""
         control = self._counters.control
         if control["stop_inside"]:
             control["stop_inside"] = 0

@@ -27,7 +27,7 @@ def test_every_code_belongs_to_one_family_and_says_what_helps(code: str) -> None
 
 
 def test_every_family_has_codes() -> None:
-    """No error class stands there without a code to raise it with."""
+    """No error class exists without a code to raise it with."""
     assert {code[:3] for code in CODES} == set(FAMILIES)
 
 

@@ -99,7 +99,7 @@ def test_public_names_are_documented() -> None:
 
 
 def test_types_are_shipped() -> None:
-    """py.typed stands in the package, so that users' type checkers believe the annotations."""
+    """py.typed is in the package, so that users' type checkers believe the annotations."""
     assert resources.files("rosplc").joinpath("py.typed").is_file()
 
 

@@ -468,7 +468,7 @@ def test_what_exceeds_a_limit_is_refused(
 
 
 def test_every_limit_is_checked() -> None:
-    """Each limit on the page has a check, and each check's limit stands on the page."""
+    """Each limit on the page has a check, and each check's limit is on the page."""
     assert set(CHECKS) == set(LISTED)
     assert all(limit.value > 0 for limit in LISTED.values())
 

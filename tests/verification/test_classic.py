@@ -27,7 +27,7 @@ def cell() -> Iterator[ClassicCell]:
 @pytest.mark.parametrize("target", targets())
 @pytest.mark.parametrize(("way", "first"), [("make", "peer"), ("find", "peer"), ("find", "plc")])
 def test_messages_cross_both_ways(target: str, way: str, first: str) -> None:
-    """Whoever starts first and makes the names, values cross as they are, for every target."""
+    """Whichever side starts first and makes the names, values cross as they are, for every target."""
     with ClassicCell(classic_target(target), start=False) as cell:
         if first == "plc":
             cell.start()
@@ -180,7 +180,7 @@ def test_freed_by_both_sides(cell: ClassicCell) -> None:
 
 
 def test_a_surplus_is_found_without_a_sign(cell: ClassicCell) -> None:
-    """Every 256th access looks twice, since a holder that stood still may come back at any time."""
+    """Every 256th access looks twice, since a holder that was stopped may come back at any time."""
     peer = cell.peer("/in")
     peer.ask("leave")
     cell.scan(256)

@@ -120,7 +120,7 @@ def joint() -> Iterator[Joint]:
 
 @pytest.mark.parametrize("first", ["bridge", "plc"])
 def test_values_cross_both_ways(joint: Joint, first: str) -> None:
-    """Whoever starts first makes the names, and every number arrives on the other side."""
+    """The side that starts first makes the names, and every number arrives on the other side."""
     for starter in (joint.start_bridge, joint.cell.start)[:: 1 if first == "bridge" else -1]:
         starter()
     for number in range(1, 20):

@@ -26,7 +26,7 @@ def stopped(machine: ProcessMachine) -> bool:
 
 
 def stop_inside(machine: ProcessMachine) -> None:
-    """Let a PLC stand still inside the next lock that it gets."""
+    """Stop a PLC inside the next lock that it gets."""
     machine.option("stop_inside")
     machine.send(f"scan {READ.upper()} 1 10")
     deadline = time.monotonic() + 30
@@ -58,7 +58,7 @@ def test_peer_killed_inside_and_started_again(cell: ClassicCell) -> None:
 
 
 def test_a_lock_that_stays_taken_is_looked_for_rarely(cell: ClassicCell) -> None:
-    """In ten minutes in vain the names are opened again a dozen times, since a handle cannot be closed."""
+    """In ten minutes without the lock names are opened a dozen times, since a handle cannot be closed."""
     peer = cell.peer("/in")
     peer.ask("enter")
     before = cell.machine.counters().sem_creates
@@ -73,7 +73,7 @@ def test_a_lock_that_stays_taken_is_looked_for_rarely(cell: ClassicCell) -> None
 
 @pytest.mark.parametrize("options", [{"sem_failed": 1}, {"sem_cache": 1}, {"cache_names": 1}])
 def test_runtimes_that_differ(options: dict[str, int]) -> None:
-    """Another result for a wait in vain, or handles kept by name, change nothing about bounded waits."""
+    """Another result for a wait that fails, or handles kept by name, change nothing about bounded waits."""
     with ClassicCell(**options) as cell:
         peer = cell.peer("/in")
         peer.write(pattern(1))
@@ -130,7 +130,7 @@ def test_a_memory_made_anew_is_found(cell: ClassicCell) -> None:
 
 
 def test_a_memory_whose_name_was_removed_is_made_again(cell: ClassicCell) -> None:
-    """If nobody has made the names anew, the PLC does, and the peer that comes later finds it."""
+    """If nobody has created the names again, the PLC does, and the peer that comes later finds it."""
     cell.scan()
     cell.memory("/out").unlink()
     cell.put("/out", pattern(1))

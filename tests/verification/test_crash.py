@@ -34,7 +34,7 @@ def plc_process(cell: Cell) -> ProcessMachine:
 
 
 def whole(record: bytes | bytearray) -> bool:
-    """Return whether a record's six numbers are all the same."""
+    """Return whether a record's six numbers are equal."""
     return bytes(record[8:]) == bytes(record[:-8])
 
 

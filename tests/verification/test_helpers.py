@@ -282,11 +282,11 @@ class Pair:
         return machine
 
     def restart_ask(self, clock: int) -> None:
-        """Start the asking side anew; it hears the other's last message at once, which is retained."""
+        """Start the asking side again; it hears the other's last message at once, which is retained."""
         self.ask = self._machine(clock)
 
     def restart_reply(self) -> None:
-        """Start the doing side anew; what it then finds is a retained message, not a new one."""
+        """Start the doing side again; what it then finds is a retained message, not a new one."""
         self.reply = self._machine(5)
 
     def scan(self, count: int = 1, *, news: bool = True, linked: bool = True, **inputs: Any) -> None:
@@ -389,7 +389,7 @@ def test_the_job_after_one_given_up(pair: Pair) -> None:
 
 
 def test_a_second_edge_while_busy(pair: Pair) -> None:
-    """A request made anew while the first is under way is a job of its own."""
+    """A request made again while the first is under way is a job of its own."""
     pair.scan(3, xExecute=True, xFinished=False)
     pair.scan(1, xExecute=False)
     pair.scan(1, xExecute=True)
@@ -437,7 +437,7 @@ def test_the_asking_side_restarts_before_it_hears() -> None:
 
 
 def test_the_doing_side_restarts_after_a_job() -> None:
-    """A job done is not begun again by a doing side that starts anew, new messages or not."""
+    """A job done is not begun again by a doing side that starts again, new messages or not."""
     pair = Pair()
     pair.scan(5, xExecute=True, xFinished=True)
     assert pair.state() == DONE and len(pair.started) == 1
@@ -451,7 +451,7 @@ def test_the_doing_side_restarts_after_a_job() -> None:
 
 
 def test_a_retained_job() -> None:
-    """A job in a retained message is not begun by a doing side that starts anew; the asking one gives up."""
+    """A job in a retained message is not begun by a doing side that starts again; the asking one gives up."""
     pair = Pair()
     pair.scan(3, xExecute=True, xFinished=False, tTimeout=500)
     assert len(pair.started) == 1

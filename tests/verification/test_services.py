@@ -576,7 +576,7 @@ def test_a_silent_bridge_and_one_that_adopts(cell: CallCell) -> None:
 
 
 def test_replaced_objects_orphan_the_call(cell: CallCell) -> None:
-    """Whoever waited has been told; the program still ends its call, and the answer goes nowhere."""
+    """The caller that waited has been told; the program still ends its call, and the answer goes nowhere."""
     caller = serving(cell)
     caller.call(1)
     cell.until(lambda: caller.get("xRequest"))

@@ -56,7 +56,7 @@ def test_plc_first(cell: Cell) -> None:
 
 
 def test_bridge_first_shows_but_does_not_execute(cell: Cell) -> None:
-    """A message that stood there before the PLC attached is valid, but never new (M14)."""
+    """A message from before the PLC attached is valid, but never new (M14)."""
     writer = cell.channel("/plain").writer()
     writer.publish(pattern(3))
     cell.until("/plain", "xValid", True)
@@ -87,7 +87,7 @@ def test_stop_and_run_never_executes_a_retained_command(cell: Cell) -> None:
 
 
 def test_latched_takes_the_state_as_new(cell: Cell) -> None:
-    """A latched topic's reader takes what stands there, once, as a new message."""
+    """A latched topic's reader takes what is there, once, as a new message."""
     writer = cell.channel("/latched").writer()
     writer.publish(pattern(9))
     cell.until("/latched", "xNew", True)
@@ -424,7 +424,7 @@ def test_writer_stamp(cell: Cell) -> None:
 
 
 def test_reader_passes_stamp_and_flags_on(cell: Cell) -> None:
-    """Stamp and flags of the slot stand in the block's outputs."""
+    """Stamp and flags of the slot are in the block's outputs."""
     writer = cell.channel("/plain").writer()
     cell.until("/plain", "xAttached", True)
     writer.publish(pattern(1), stamp_ns=(3 << 32) + 9, flags=2)

@@ -40,7 +40,7 @@ def test_an_address_or_a_known_name_is_a_host_of_ours(host: str) -> None:
     ],
 )
 def test_another_name_is_no_host_of_ours(host: str) -> None:
-    """Whatever else stands in Host was chosen by somebody else."""
+    """Whatever else is in Host was chosen by somebody else."""
     assert wrong_host(host, ["cell1.plant"])
 
 

@@ -64,7 +64,7 @@ def test_beyond_loopback_it_warns_and_asks_for_the_token(shm_namespace) -> None:
 
 
 def test_a_token_of_ones_own_is_not_printed(shm_namespace, tmp_path) -> None:
-    """It stands in its file, and is the one that counts; Ctrl-C ends the server in order."""
+    """It is in its file, and is the one that counts; Ctrl-C ends the server in order."""
     file = tmp_path / "token"
     file.write_text("0123456789abcdef")
     file.chmod(0o600)

@@ -300,7 +300,7 @@ def test_nobody_looks_at_messages_that_no_page_shows(serving, shm_namespace, mon
 
 
 def test_the_status_is_what_rosplc_status_prints(serving, shm_namespace) -> None:
-    """The same objects, for whoever asks once."""
+    """The same objects, for one that asks once."""
 
     async def talk(client):
         with open_typed(shm_namespace, "/cmd", TWIST):

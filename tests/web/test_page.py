@@ -117,7 +117,7 @@ def link(page: Any, topic: str) -> Any:
 
 
 def value_of(page: Any, field: str) -> Any:
-    """Return where a field's value stands in the open message."""
+    """Return where a field's value is in the open message."""
     return page.locator(".leaf").filter(has=page.get_by_text(field, exact=True)).locator(".field-value")
 
 
@@ -357,7 +357,7 @@ def test_axe_finds_nothing(pages: Pages, machine: Machine, scheme: str) -> None:
 
 
 def test_a_test_message_is_written_by_the_form(pages: Pages, machine: Machine) -> None:
-    """Values are checked at their field, the question stands in between, and the channel has the message."""
+    """Values are checked at their field, the question comes in between, and the channel has the message."""
     page = pages.open(f"{machine.server.url}#token={machine.server.token}")
     expect(page).to_have_url(re.compile("#/channels$"))
     page.goto(machine.link("channels", "/cell/test"))

@@ -1,6 +1,6 @@
 /* Wire bytes <-> record, by a plan: a validated array of ops, compiled once per layout and wire.
  *
- * Plain C without Python and without allocation. Whoever builds the ops (rosplc/codec/compile.py) is
+ * Plain C without Python and without allocation. The builder of the ops (rosplc/codec/compile.py) is
  * not trusted: rp_plan_load() proves that no op leaves the record or its loop's element, so that a
  * damaged plan is refused and never writes out of bounds. Wire bytes and records are never trusted.
  *

@@ -66,7 +66,7 @@ void ch_gate_leave(ch_gate *gate, RegionObject *region, PyThreadState *state)
 {
     PyEval_RestoreThread(state);
     gate->busy = 0;
-    /* Whoever copies in a loop would otherwise be back before a waiting thread has had a look. */
+    /* A loop of copies would otherwise be back before a waiting thread has had a look. */
     for (int i = 0; i < 4 && gate->waiting && !gate->busy; i++)
         pause_without_gil();
     ch_region_unpin(region);

@@ -234,7 +234,7 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
         while (!interrupted && !done) {
             now = now_ns();
             if (tick) {
-                /* The grid stays where it is while we keep up, and starts anew where we fell behind. */
+                /* The grid stays where it is while we keep up, and starts again where we fell behind. */
                 int64_t target = self->next_tick;
                 struct timespec until;
                 if (target <= now - tick || target > now + tick)

@@ -141,7 +141,7 @@ static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
     return filled ? ch_slot_info(&take) : Py_NewRef(Py_None);
 }
 
-/* Whoever looks in a loop mostly wants the bytes alone: making a SlotInfo costs more than taking a small record. */
+/* A loop mostly wants the bytes alone: making a SlotInfo costs more than taking a small record. */
 static PyObject *reader_update(ReaderObject *self, PyObject *out)
 {
     rosplc_take take = rosplc_take_start(ROSPLC_TAKE_NEWEST);
@@ -309,7 +309,7 @@ static PyMethodDef methods[] = {
      "begin() -> whether the message just taken may be acted on: it is still the newest, and line 0 ours."},
     {"beat", (PyCFunction)reader_beat, METH_NOARGS, "Show that this reader lives; taking does so too."},
     {"release", (PyCFunction)reader_release, METH_NOARGS, "Give the line back; go on as an observer."},
-    {"set_sinks", (PyCFunction)reader_set_sinks, METH_O, "Say how many ROS subscribers stand behind this reader."},
+    {"set_sinks", (PyCFunction)reader_set_sinks, METH_O, "Say how many ROS subscribers are known behind this reader."},
     {"set_error", (PyCFunction)reader_set_error, METH_O, "Show an error number of section 9 in the line, 0 none."},
     {NULL, NULL, 0, NULL},
 };

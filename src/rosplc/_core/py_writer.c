@@ -211,7 +211,7 @@ static PyObject *writer_release(WriterObject *self, PyObject *unused)
 {
     (void)unused;
     if (!self->released) {
-        self->released = 1; /* first: whoever publishes in a loop ends here */
+        self->released = 1; /* first: a loop that publishes ends here */
         if (self->gate.busy && ch_gate_wait(&self->gate))
             return NULL;
         if (!self->owner->closed)
@@ -271,7 +271,7 @@ static PyMethodDef methods[] = {
     {"refuse", (PyCFunction)writer_refuse, METH_VARARGS, "refuse(error=0): count a message that was not published."},
     {"begun", (PyCFunction)writer_begun, METH_O,
      "begun(first) -> whether the withdrawn call whose first message has that sequence may have been begun."},
-    {"set_sources", (PyCFunction)writer_set_sources, METH_O, "Say how many ROS publishers stand behind this writer."},
+    {"set_sources", (PyCFunction)writer_set_sources, METH_O, "Say how many ROS publishers are known behind this writer."},
     {NULL, NULL, 0, NULL},
 };
 

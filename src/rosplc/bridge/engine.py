@@ -331,10 +331,10 @@ class Bridge:
         if not self._started_ns or carriers is None or heartbeat is None:
             return "it is not started"
         if now - heartbeat.turned_ns > longest_ns:
-            return f"the thread that beats stands still for {(now - heartbeat.turned_ns) / 1e9:.0f} s"
+            return f"the thread that beats has been stuck for {(now - heartbeat.turned_ns) / 1e9:.0f} s"
         since = min(carriers.turned_ns, carriers.busy_since_ns or now)
         if now - since > longest_ns:
-            return f"the thread that carries towards ROS stands still for {(now - since) / 1e9:.0f} s"
+            return f"the thread that carries towards ROS has been stuck for {(now - since) / 1e9:.0f} s"
         return ""
 
     # -- the work of heartbeat and reporter, on their threads

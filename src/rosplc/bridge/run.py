@@ -172,7 +172,7 @@ def _reload(bridge: Bridge) -> None:
     try:
         bridge.reload()
     except RosplcError:
-        pass  # it is logged, and stands in the status
+        pass  # it is logged, and part of the status
     except Exception:
         log.exception("the configuration could not be reloaded")
 

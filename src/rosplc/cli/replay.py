@@ -79,7 +79,7 @@ def command(
         start TIME: Leave out so much at the beginning, such as 30s.
         end TIME: End so long after the recording's beginning.
         stamps now|original: What messages are stamped with.
-        wait TIME: Wait so long for a reader of each topic, then begin all the same.
+        wait TIME: Wait so long for a reader of each topic, then begin anyway.
         prefix NAME: With --to plc: the channels' prefix, in place of the configuration's.
         config FILE: With --to plc: a configuration with prefix, limits and slots; without --prefix,
             rosplc.yaml in this folder by default.
@@ -218,7 +218,7 @@ def _play(
         with stop_on_signals(lambda _: None) as stop:
             missing = wait_for_readers(target, patience, partial(pause, stop))
             if missing and patience and not quiet:
-                warn(f"nobody takes {', '.join(missing)} yet; it begins all the same")
+                warn(f"nobody takes {', '.join(missing)} yet; the replay begins anyway")
             if not quiet:
                 pace = "as fast as it goes"
                 if options.speed:

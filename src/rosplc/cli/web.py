@@ -123,6 +123,6 @@ def _introduce(settings: Settings, url: str, *, from_file: Path | None) -> None:
         what = (
             "look" if not settings.allow_write else "look and to write" if settings.token_to_view else "write"
         )
-        place = "is part of the address" if from_file is None else f"stands in {from_file}"
+        place = "is part of the address" if from_file is None else f"is in {from_file}"
         say(f"To {what}, the token is needed; it {place}.")
     say("Ctrl-C ends it.")

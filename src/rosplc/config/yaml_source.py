@@ -265,7 +265,7 @@ class _Builder:
             top.skip = True
             code = "CFG006" if top.path == ("topics",) else "CFG010"
             where = f"{self.name}:{line}: {'.'.join(map(str, path))}"
-            what = f"{key!r} stands on line {self.lines[path]} already"
+            what = f"{key!r} is already on line {self.lines[path]}"
             self._problems.add(ConfigError(code, what, where=where), line)
         else:
             self.lines[path] = line

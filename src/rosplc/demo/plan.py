@@ -40,7 +40,7 @@ class Opened:
 class Kind:
     """A kind of message that the robot sends.
 
-    ``name`` is its topic's last part, ``frame`` stands in ``header.frame_id``; ``numbers`` returns every
+    ``name`` is its topic's last part, ``frame`` is in ``header.frame_id``; ``numbers`` returns every
     number of a message (a dict or a record view), as ``float64`` values.
     """
 

@@ -246,7 +246,7 @@ class Demo:
         foreign = ("CYCLONEDDS_URI", "ROS_STATIC_PEERS")
         environment = {key: value for key, value in os.environ.items() if key not in foreign}
         # Loopback alone, whatever this machine's ROS is set to; and no module of the folder in
-        # which the user happens to stand in place of a library's (from Python 3.11 on).
+        # which the user happens to be in, in place of a library's (from Python 3.11 on).
         environment.update(
             PYTHONSAFEPATH="1",
             ROS_LOCALHOST_ONLY="1",

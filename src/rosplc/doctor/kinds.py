@@ -71,7 +71,7 @@ _register("DOC208", _A, _N, "retired objects", "A bridge was killed between reti
 _register("DOC209", _A, _W, "objects of another user", "No bridge uses them, and a bridge of this user could not take them over (SHM119).", "Start the bridge as their owner, or remove them.")
 _register("DOC210", _A, _W, "objects that are open to all users", "Every user of this machine may read or change the data that robot and PLC exchange.", "Restrict shm.mode, and give the objects to one group.")
 _register("DOC211", _A, _E, "damaged objects", "Another program wrote into them, or uses the name; a PLC refuses them.", "Restart the bridge: it replaces objects that are its own.")
-_register("DOC212", _A, _E, "plain files at the objects' names", "A link, a folder or a device stands at an object's name; rosplc never follows it (SHM121).", "Remove it.")
+_register("DOC212", _A, _E, "plain files at the objects' names", "A link, a folder or a device has an object's name; rosplc never follows it (SHM121).", "Remove it.")
 _register("DOC213", _A, _W, "lock files", "A bridge beats in an object whose lock file was removed, so a second bridge could start.", "Restart the bridge, and never remove PREFIX.l.* while it is running.")
 _register("DOC214", _A, _W, "locks of classic topics", "A semaphore was taken at every look, so its holder has probably died. A bridge frees it after classic: recover_after.", "Start the bridge, or remove the semaphore while no program uses it.")
 _register("DOC215", _A, _E, "word size of semaphores", "Programs of another word size made the semaphore (SHM133).", "Run both sides with the same word size, or carry the topic over the default channel.")

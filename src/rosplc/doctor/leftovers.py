@@ -111,7 +111,7 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
         else:
             yield found("DOC211", what, error.remedy, level=level)
     if "SHM121" not in codes:
-        yield fine("DOC212", "plain files stand at the objects' names")
+        yield fine("DOC212", "plain files at the objects' names")
     if not codes - {"", "SHM121"}:
         yield fine("DOC211", "no object is damaged")
 

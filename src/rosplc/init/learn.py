@@ -68,7 +68,7 @@ class Definitions:
     def find_installed(self, type_name: str) -> bool:
         """Look for a type, and those it needs, in an installed ROS; return whether it is known now.
 
-        Raises MessageTypeError TYP… if what stands there is wrong.
+        Raises MessageTypeError TYP… if it is wrong.
         """
         if type_name in self.store:
             return True
@@ -119,7 +119,7 @@ def _needed(name: str, text: str, ros_version: int) -> list[str]:
     try:
         (parsed,) = parse_definition(name, text, ros_version=ros_version)
     except (RosplcError, ValueError):
-        return []  # whoever learns the text says what is wrong with it
+        return []  # the one that learns the text reports what is wrong with it
     return list(parsed.message.needs)
 
 

@@ -136,7 +136,7 @@ class RecordedRobot:
 
 
 def _absolute(topic: str) -> str:
-    # ROS 1 recorders keep the name as it was given; without a namespace it stands at the root.
+    # ROS 1 recorders keep the name as it was given; without a namespace it is at the root.
     return topic if topic.startswith("/") else f"/{topic}"
 
 

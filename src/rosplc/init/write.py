@@ -166,7 +166,7 @@ def _comment(text: str, indent: int = 0) -> list[str]:
 class Draft:
     """What a configuration will say.
 
-    ``entries`` stand in the file's order: towards the PLC first, then by name. By topic: ``seen``, what its
+    ``entries`` are in the file's order: towards the PLC first, then by name. By topic: ``seen``, what its
     messages were like, and ``left_out``, why it is not among them. By type: ``definitions``, the text of
     those that must be saved, and ``origins``.
     """

@@ -162,7 +162,7 @@ def layout_difference(one: str, other: str, limit: int = 5) -> str:
         elif mine[path] != theirs[path]:
             found.append(f"{path} is {mine[path]} here and {theirs[path]} there")
     if not found:
-        found.append("the fields stand in another order")
+        found.append("the fields are in another order")
     more = f", and {len(found) - limit} more" if len(found) > limit else ""
     return "; ".join(found[:limit]) + more
 

@@ -273,7 +273,7 @@ class Tracked:
         if head == self._head:
             return
         new = distance(self._head, head, self.attached.identity.slot_count) if self._head else head
-        if new < 2**31:  # else the head was scribbled over, or begins anew
+        if new < 2**31:  # else the head was scribbled over, or begins again
             self._count += new
             before = self._since_ns if self._changed_ns is None else self._changed_ns
             if limit and self._head and now_ns - before > limit + _DEBOUNCE_NS:

@@ -222,7 +222,7 @@ def _body(parent: ET.Element, text: str) -> None:
 def _pou(parent: ET.Element, pou: Pou) -> None:
     element = ET.SubElement(parent, "pou", name=pou.name, pouType=_POU_TYPES[pou.kind])
     interface = _interface(element, pou.blocks, pou.return_type)
-    # ABSTRACT stands in the plain text alone: no export at hand shows another place for it.
+    # ABSTRACT is in the plain text alone: no export at hand shows another place for it.
     if pou.extends or pou.attributes:
         extra = ET.SubElement(interface, "addData")
         if pou.extends:

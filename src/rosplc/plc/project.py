@@ -116,7 +116,7 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PlcProject:
-    """Everything that a generation produces; objects stand in the order in which they depend."""
+    """Everything that a generation produces; objects are in the order in which they depend."""
 
     name: str  # the top folder's name in the PLC project
     duts: tuple[Dut | Enumeration, ...] = ()

@@ -27,7 +27,7 @@ def _check(kind: str, name: str) -> None:
         raise _refuse(kind, name, f"it has {len(name)} characters, {LONGEST_NAME} are the most")
     for token in name[1:].split("/"):
         if not token:
-            raise _refuse(kind, name, "a / stands at its end, or two stand together")
+            raise _refuse(kind, name, "it ends with a /, or has two together")
         if not _TOKEN.match(token):
             why = f"{token!r} may have only letters, digits and _, and starts with no digit"
             raise _refuse(kind, name, why)

@@ -69,7 +69,7 @@ class Plan:
 def _valid(what: str, value: str, pattern: re.Pattern[str]) -> None:
     if not pattern.fullmatch(value):
         remedy = "Use letters, digits, _ and -, in paths also / . + @ : and comma."
-        raise SetupError("SYS011", f"{what} {value!r} cannot stand in a unit of systemd", remedy=remedy)
+        raise SetupError("SYS011", f"{what} {value!r} cannot be part of a unit of systemd", remedy=remedy)
 
 
 def sysusers(plan: Plan) -> str:

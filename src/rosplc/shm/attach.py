@@ -28,7 +28,7 @@ _T = TypeVar("_T")
 
 
 def silence_ns(beat_ms: int, factor: int = 3) -> int:
-    """Return how long, in ns, a beat may stand still before its claim counts as abandoned (M6, M9)."""
+    """Return how long, in ns, a beat may stay unchanged before its claim counts as abandoned (M6, M9)."""
     if beat_ms == 0:
         return 1_000_000_000
     return max(100, factor * min(beat_ms, MAX_BEAT_MS)) * 1_000_000
@@ -199,7 +199,7 @@ def _unless_claimed(claim: Callable[[], _T]) -> _T | None:
 
 
 def take_over_writer(region: Region, beat_ms: int) -> Writer:
-    """Claim the writer's line whoever holds it: for the bridge that holds the name's lock."""
+    """Claim the writer's line from any holder: for the bridge that holds the name's lock."""
     while True:
         epoch = region.word(WRITER_LINE["writer_epoch"])
         if (writer := _unless_claimed(lambda epoch=epoch: Writer(region, epoch, beat_ms))) is not None:  # type: ignore[misc]
@@ -207,7 +207,7 @@ def take_over_writer(region: Region, beat_ms: int) -> Writer:
 
 
 def take_over_line(region: Region, reader: Reader, index: int, beat_ms: int, task: str) -> None:
-    """Claim a reader line whoever holds it: for the bridge that holds the name's lock."""
+    """Claim a reader line from any holder: for the bridge that holds the name's lock."""
     claim = ReaderClaim(region, reader, beat_ms, task, range(index, index + 1))
     while not claim.attempt_from(index, region.word(reader_line(index))):
         pass

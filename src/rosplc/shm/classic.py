@@ -119,7 +119,7 @@ _LARGEST = 2**31 - 1
 _LEAST_LOOKS = 20
 _MOST_EXTRA = 64
 _LONGEST_GAP = 4
-"""Looks further apart than this part of the time say nothing: this process itself stood still."""
+"""Looks further apart than this part of the time say nothing: this process itself was stopped."""
 
 
 class Entry(enum.Enum):
@@ -251,7 +251,7 @@ class ClassicLock:
                 raise _denied("SHM128", "semaphore", self.path, remedy) from error
             except OSError as error:
                 raise channel_error(128, f"cannot be opened: {error.strerror}", self.path) from error
-            # The library does not tell which file it opened; a name that stood still tells it.
+            # The library does not tell which file it opened; a name that did not change tells it.
             if same_file(self.path, found.st_dev, found.st_ino):
                 return semaphore, (found.st_dev, found.st_ino)
             semaphore.close()

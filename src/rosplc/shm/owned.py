@@ -166,7 +166,7 @@ class OwnedChannel(Mapped):
         return (
             files.same_file(self.path, *self._file)
             and self._lock.still_there()
-            # First the size: whoever cut the object to nothing made looking at it deadly.
+            # First the size: looking at an object that was cut to nothing is deadly.
             and self._whole()
             and self.region.read(0, spec.IDENTITY_SIZE) == self._first[: spec.IDENTITY_SIZE]
         )
@@ -348,7 +348,7 @@ def _head_without_slot(fd: int, found: Identity) -> str:
         if head == 0 or _word(fd, slot + spec.SLOT_HEADER["sequence"]) == head:
             return ""
         # The PLC goes on meanwhile, and may have come round to this slot: only under a head that
-        # stands still is the slot's word evidence.
+        # does not move is the slot's word evidence.
         before, head = head, _word(fd, spec.WRITER_LINE["head"])
         if before == head:
             return f"head is {head}, which its slot does not hold"

@@ -124,7 +124,7 @@ class Block(_Instance):
                 self._attached.valid()
             except ChannelError as error:
                 self._drop(error)
-                # Whoever retires an object puts the next one in its place: look at once.
+                # An object is retired when the next one takes its place: look at once.
                 self._delay_ns = self._due_ns = 0
             else:
                 return self._attached

@@ -204,7 +204,7 @@ class _Answerer(_CallBlock):
     """What both servers share.
 
     Attributes:
-        xCallerGone: Nobody waits for the answer any more; the call is to be ended all the same.
+        xCallerGone: Nobody waits for the answer any more; the call must still be ended.
         udiCallers: ROS clients known; None if unknown, as without a bridge.
         udiRefused: Calls that ended without being shown.
         age: Seconds since the call in hand was shown.
@@ -674,7 +674,7 @@ class ActionClient(_Caller):
             self._failed(info, status)
 
     def _pursue(self, caller: Caller, over: bool) -> None:
-        if over:  # whoever has not begun never will (M26)
+        if over:  # one that has not begun never will (M26)
             begun, withdrawn = True, 0 if self._accepted else spec.ASK_WITHDRAWN
             with suppress(ChannelError):  # with its object the goal has ended as well
                 caller.again(self._send, spec.ASK_CANCEL | withdrawn)

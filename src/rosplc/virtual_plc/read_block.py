@@ -20,7 +20,7 @@ class ReadBlock(Block):
 
     Call the instance in every scan, then use its outputs, which carry the names that they
     have in the PLC. A call waits for nothing and raises nothing about the other side: what
-    is wrong stands in ``udiError``.
+    is wrong is in ``udiError``.
 
     Args:
         topic: The topic as ROS writes it.
@@ -48,7 +48,7 @@ class ReadBlock(Block):
         xFirst: The message is marked as the first after its writer started, or after its source was silent.
         xRecovered: With ``xNew``: the first message after a start, after ``xStale``, or of another writer.
         xTruncated: Something was cut off to make the message fit.
-        xSubstituted: ``msg`` is no message of the source: a configured value stands in its place.
+        xSubstituted: ``msg`` is no message of the source: a configured value takes its place.
         udiSequence: The sequence number of the message in ``msg``.
         udiLost: Messages missed since the first one that this block took.
         udiError: 0, or a number of spec/shm-format.md, section 9.
@@ -186,7 +186,7 @@ class ReadBlock(Block):
         if self.msg is None or len(self._record) != layout.size:
             self._use_layout(layout)
         if not latched:
-            # Rule M14: what was published before stands in msg, valid but never new.
+            # Rule M14: what was published before is in msg, valid but never new.
             info = self._reader.peek(self._shadow)
             if info is not None:
                 self._show(info)
@@ -209,7 +209,7 @@ class ReadBlock(Block):
         self.uiTaken += 1
         self.udiLost += info.lost
         self._show(info)
-        # The mark may be on a skipped message; a change of the claim and the silence are seen all the same.
+        # The mark may be on a skipped message; a change of the claim and the silence are still seen.
         assert self._attached is not None
         epoch = self._attached.region.words(WRITER_LINE["writer_epoch"], 1)[0]
         another = epoch not in (0, self._writer)

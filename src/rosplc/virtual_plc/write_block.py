@@ -113,7 +113,7 @@ class WriteBlock(Block):
 
     Set ``msg`` and ``xEnable``, then call the instance once per scan: each call with
     ``xEnable`` publishes one message. A call waits for nothing and raises nothing about
-    the other side: what is wrong stands in ``udiError``.
+    the other side: what is wrong is in ``udiError``.
 
     Args:
         topic: The topic as ROS writes it.
@@ -233,7 +233,7 @@ class WriteBlock(Block):
         except ChannelError as error:
             self._writer, self.xReady = None, False
             if error.code == "SHM115":
-                # Whoever has it now keeps it: a new claim waits for that one's silence.
+                # Its present holder keeps it: a new claim waits for that one's silence.
                 self.udiError, self.reason = error_number(error), str(error)
             else:
                 self._drop(error)

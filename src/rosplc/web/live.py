@@ -261,7 +261,7 @@ class Feed:
                 await self._hurry.wait()
                 alarm.cancel()
         finally:
-            # Waits for the look that is being taken: whoever started this closes the watch next.
+            # Waits for the look that is being taken: the one that started this closes the watch next.
             self._thread.shutdown(cancel_futures=True)
 
     def hurry(self) -> None:

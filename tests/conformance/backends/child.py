@@ -239,7 +239,7 @@ class RemoteNode:
         self._process.join()
 
     def stop(self) -> None:
-        """Let the process stand still."""
+        """Stop the process."""
         assert self._process.pid is not None
         os.kill(self._process.pid, signal.SIGSTOP)
 

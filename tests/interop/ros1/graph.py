@@ -93,7 +93,7 @@ class Graph:
             self._master = None
 
     def freeze_master(self, frozen: bool) -> None:
-        """Let the master stand still, or go on."""
+        """Stop the master, or let it continue."""
         assert self._master is not None
         self._master.send_signal(signal.SIGSTOP if frozen else signal.SIGCONT)
 
@@ -253,7 +253,7 @@ class Peer:
         return int(self._ask("matched", topic).split()[2])
 
     def stop(self) -> None:
-        """Let it stand still."""
+        """Stop it."""
         self._process.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:

@@ -320,7 +320,7 @@ def test_a_hostile_description_is_refused(bridge, attach, shm_namespace):
     ],
 )
 def test_a_description_that_cannot_be_used_is_refused(attach, shm_namespace, changes):
-    """Whatever stands in a description, the answer is SHM113 and no other exception."""
+    """Whatever is in a description, the answer is SHM113 and no other exception."""
     layout = compute_layout(STORE, "std_msgs/msg/Int32")
     facts = {
         "topic": "/odd",
@@ -414,7 +414,7 @@ def test_a_writer_that_changes_objects_packs_for_the_new_one(bridge, attach, shm
 
 
 def test_losses_are_counted_once_while_there_is_no_object(bridge, attach):
-    """What was lost in an object stands in `lost` once: with it, without it, and after close()."""
+    """What was lost in an object is in `lost` once: with it, without it, and after close()."""
     one = bridge()
     channel = attach()
     one.send(data=1)

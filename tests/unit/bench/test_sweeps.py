@@ -87,7 +87,7 @@ def test_contenders_of_other_sections_start_nothing(context: Context) -> None:
 def test_a_server_that_does_not_come_up_takes_no_other_along(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A server that ends or hangs is a failure with its name; shared memory is measured all the same."""
+    """A server that ends or hangs is a failure with its name; shared memory is measured anyway."""
     monkeypatch.setitem(sweeps._AMOUNTS, "quick", AMOUNT._replace(sizes=(8,), topics=(1,)))
     monkeypatch.setattr(sweeps, "python", lambda *_: [sys.executable, "-c", "raise SystemExit(3)"])
     context.only = ("asyncua", "rosplc-python")

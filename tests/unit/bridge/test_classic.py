@@ -37,7 +37,7 @@ def replace_semaphore(name: str) -> None:
 
 
 def test_messages_go_both_ways(tmp_path: Path) -> None:
-    """A message stands in the memory as the record's bytes at offset 0; a changed image is a message."""
+    """A message is in the memory as the record's bytes at offset 0; a changed image is a message."""
     with ClassicCell(tmp_path, "plc") as cell:
         assert cell.image == bytes(SIZE)
         cell.publish(5)
@@ -117,7 +117,7 @@ def test_a_semaphore_made_again_is_followed(tmp_path: Path, to: str) -> None:
 
 
 def test_an_image_left_by_one_that_died_with_the_old_semaphore_is_no_message(tmp_path: Path) -> None:
-    """If the lock was taken when it was replaced, what stands there may be half written."""
+    """If the lock was taken when it was replaced, what is there may be half written."""
     with ClassicCell(tmp_path, "ros", "recover_after: 1h") as cell:
         cell.write(1)
         wait_for(lambda: cell.got == [1])
@@ -227,7 +227,7 @@ def test_a_lock_that_is_held_delays_no_other_topic(tmp_path: Path) -> None:
 
 
 def test_every_look_is_a_message_where_that_is_asked_for(tmp_path: Path) -> None:
-    """on_change: false publishes what stands there at every look, as the thesis' class does."""
+    """on_change: false publishes what is there at every look, as the thesis' class does."""
     with ClassicCell(tmp_path, "ros", entry="on_change: false, expected_rate: 100Hz") as cell:
         cell.write(1)
         wait_for(lambda: cell.got.count(1) > 5)
@@ -275,7 +275,7 @@ def test_staleness_goes_by_the_last_change(tmp_path: Path) -> None:
 
 
 def test_diagnostics_say_what_is_known(tmp_path: Path) -> None:
-    """Memory, lock and what was corrected stand beside the topic's counters, within what a message holds."""
+    """Memory, lock and what was corrected are beside the topic's counters, within what a message holds."""
     with ClassicCell(tmp_path, "plc", FAST) as cell:
         posix_ipc.Semaphore(f"/{cell.name}").release()
         wait_for(lambda: cell.classic.mended == 1)

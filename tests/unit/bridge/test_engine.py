@@ -214,7 +214,7 @@ def test_on_change_towards_the_plc(cell: Cell) -> None:
 
 
 def test_on_change_towards_ros(cell: Cell) -> None:
-    """What the PLC repeats is published once, whatever stands in unused bytes of the record."""
+    """What the PLC repeats is published once, whatever is in unused bytes of the record."""
     cell.start(f"  /text: {{type: {STRING}, to: ros, on_change: true, slots: 64}}\n")
     messages = cell.listen("/text", STRING)
     plc = cell.plc("/text")

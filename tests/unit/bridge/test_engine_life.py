@@ -140,7 +140,7 @@ def test_a_damaged_object_is_created_again(cell: Cell, topic: str, word: str) ->
 
 @pytest.mark.parametrize("topic", ["/in", "/out"])
 def test_a_message_into_a_retired_object_is_noticed_at_once(cell: Cell, topic: str) -> None:
-    """Whoever uses the object first finds out, counts the message or reports, and it is opened again."""
+    """The first user of the object finds out, counts the message or reports, and it is opened again."""
     bridge = cell.start(BOTH, more="tick: 500ms")
     messages = cell.listen("/out", INT)
     publisher, outgoing = cell.publisher("/in", INT), cell.plc("/out")
@@ -276,7 +276,7 @@ def test_one_topics_trouble_is_no_others(cell: Cell, monkeypatch: pytest.MonkeyP
 
 
 def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Messages that were taken together with one that fails are sent all the same."""
+    """Messages that were taken together with one that fails are sent anyway."""
     bridge = cell.start(f"  /a: {{type: {INT}, to: ros, slots: 64}}\n", more="tick: 200ms")
     messages = cell.listen("/a", INT)
     receive = ToRos.receive
@@ -468,7 +468,7 @@ def test_unknown_users_and_groups(cell: Cell, key: str) -> None:
 
 
 def test_a_given_backend_is_left_open(cell: Cell) -> None:
-    """Whoever passes a backend keeps it; the bridge takes only its endpoints off."""
+    """The one that passes a backend keeps it; the bridge takes only its endpoints off."""
     backend = open_backend(STORE, "mine", domain=DOMAIN)
     with Bridge(parse_config(cell.config(BOTH)), backend) as bridge:
         assert {end.topic for end in backend.endpoints()} == {"/in", "/out", "/rosout"}

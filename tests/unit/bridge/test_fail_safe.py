@@ -83,7 +83,7 @@ def test_what_the_plc_says_is_never_mixed_with_substitutes(cell: Cell) -> None:
 
 
 def test_what_waits_for_a_subscriber_comes_before_the_substitute(cell: Cell) -> None:
-    """A message that the PLC sent at the start is not overtaken by what stands in for it."""
+    """A message that the PLC sent at the start is not overtaken by its substitute."""
     bridge = cell.start(SUBSTITUTED)
     cell.plc("/out").write({"data": 5})
     wait_for(lambda: bridge.status().topic("/out").substituted >= 2)
@@ -127,7 +127,7 @@ def test_the_first_message_after_silence_is_marked_for_the_plc(cell: Cell) -> No
 
 
 def test_the_first_message_of_another_publisher_is_marked(cell: Cell) -> None:
-    """Once the bridge has seen that nobody publishes, whoever comes next begins anew."""
+    """Once the bridge has seen that nobody publishes, the next one begins again."""
     cell.start(f"  /in: {{type: {INT}, to: plc, stale_after: never}}\n")
     plc = cell.plc("/in")
     publisher = cell.publisher("/in", INT)

@@ -24,7 +24,7 @@ def test_a_bridge_that_goes_round_is_not_stuck(cell: Cell) -> None:
 
 
 def test_a_hanging_ros_side_is_noticed_and_forgotten(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A publication that does not return stands still after the time given, for as long as it hangs."""
+    """A publication that does not return counts as stuck after the time given, for as long as it hangs."""
     bridge = cell.start(BOTH)
     outgoing = cell.plc("/out")
     go_on = threading.Event()

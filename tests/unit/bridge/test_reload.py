@@ -311,7 +311,7 @@ def test_only_a_running_bridge_reloads(cell: Cell) -> None:
 
 
 def test_a_backend_that_ends(cell: Cell, caplog: pytest.LogCaptureFixture) -> None:
-    """A ROS side that was told to leave is reported once, to the log, the status and whoever asked."""
+    """A ROS side that was told to leave is reported once, to the log, the status and the one that asked."""
     backend = open_backend(STORE, "leaving", domain=DOMAIN)
     bridge = Bridge(parse_config(cell.config(BOTH)), backend)
     told: list[str] = []

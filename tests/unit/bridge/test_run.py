@@ -126,7 +126,7 @@ def test_kill_and_restart(run: object, shm_namespace: Namespace) -> None:
 
 
 def test_a_signal_just_before_the_wait_is_not_lost() -> None:
-    """Where the handler has not run yet when the wait begins, the signal ends the wait all the same."""
+    """Where the handler has not run yet when the wait begins, the signal ends the wait anyway."""
     with News() as news:
         before = signal.signal(signal.SIGHUP, lambda number, _: news.put(number))
         try:
@@ -177,7 +177,7 @@ def test_many_hang_ups_reload_once_more(run: object, config: Path, shm_namespace
 
 
 def test_a_backend_that_ends_ends_the_program(tmp_path: Path, shm_namespace: Namespace) -> None:
-    """A node that was told to leave is an error with its reason: whoever watches may start it again."""
+    """A node that was told to leave is an error with its reason: a service manager may start it again."""
     backend = open_backend(TypeStore.bundled("jazzy"), "told", domain=40)
     bridge = Bridge(parse_config(f"prefix: {shm_namespace.prefix}\nros: {{backend: memory}}\n"), backend)
     threading.Timer(0.2, setattr, [backend, "ended", "somebody told it to leave"]).start()

@@ -48,7 +48,7 @@ def test_each_topic_says_what_happens_when_its_source_is_silent(entry: str, word
 
 
 def test_programs_get_the_same_as_data() -> None:
-    """Action, value, period and flag stand in the JSON, too."""
+    """Action, value, period and flag are in the JSON, too."""
     entry = "to: ros, stale_after: 2s, on_stale: {value: {data: -1}, period: 5Hz}"
     project = resolve(parse_config(f"ros: {{backend: memory}}\ntopics:\n  /a: {{type: {INT}, {entry}}}\n"))
     assert check(project)["topics"]["/a"]["on_stale"] == {

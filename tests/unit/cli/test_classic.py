@@ -43,7 +43,7 @@ def run(*arguments: object) -> tuple[int, str, str]:
 
 
 def test_check_explains_memory_and_lock(config: Path, name: str) -> None:
-    """Names, waits and what a message is stand in the explanation, and in JSON."""
+    """Names, waits and what a message is are in the explanation, and in JSON."""
     code, out, _ = run("check", "-v", config)
     assert code == 0
     assert f"memory {name} with the bare record" in out
@@ -58,7 +58,7 @@ def test_check_explains_memory_and_lock(config: Path, name: str) -> None:
 
 
 def test_show_lists_classic_topics_of_a_configuration(config: Path, name: str) -> None:
-    """Sizes, owner and the lock's state stand in one line per topic; what is missing is said."""
+    """Sizes, owner and the lock's state are in one line per topic; what is missing is said."""
     Path(f"/dev/shm/{name}").write_bytes(RECORD)
     posix_ipc.Semaphore(f"/{name}", posix_ipc.O_CREX, initial_value=0).close()
     code, out, errors = run("show", "--config", config)
@@ -72,7 +72,7 @@ def test_show_lists_classic_topics_of_a_configuration(config: Path, name: str) -
 
 
 def test_show_prints_a_classic_topic(config: Path, name: str) -> None:
-    """What stands in the memory is decoded by the configuration's type, without taking the lock."""
+    """What is in the memory is decoded by the configuration's type, without taking the lock."""
     Path(f"/dev/shm/{name}").write_bytes(RECORD)
     posix_ipc.Semaphore(f"/{name}", posix_ipc.O_CREX, initial_value=0).close()
     code, out, _ = run("show", f"/{name}", "--config", config)

@@ -92,7 +92,7 @@ def test_ctrl_c_ends_it_quietly(talker):
 
 
 def test_ctrl_c_during_an_import_is_no_traceback(monkeypatch):
-    """Python before 3.12 wraps the interrupt where a class is being made; the status is 130 all the same."""
+    """Python before 3.12 wraps the interrupt where a class is being made; the status is 130 anyway."""
 
     def importing(**_: object) -> None:
         raise RuntimeError("Error calling __set_name__") from KeyboardInterrupt()

@@ -86,7 +86,7 @@ def test_a_name_that_a_plc_cannot_hold_is_refused() -> None:
 
 
 def test_another_directory_is_refused() -> None:
-    """Semaphores stand in /dev/shm and nowhere else, so a classic topic does too."""
+    """Semaphores are in /dev/shm and nowhere else, so a classic topic does too."""
     assert "lie in /dev/shm" in wrong("to: plc, classic: true", more="shm: {directory: /tmp}")
 
 

@@ -32,7 +32,7 @@ def test_the_defaults_hold_and_stop() -> None:
 
 
 def test_values_become_records() -> None:
-    """Fields that are given stand in the record, the others are initial."""
+    """Fields that are given are in the record, the others are initial."""
     assert plan_of("to: plc, on_stale: zero").action == "zero"
     plan = plan_of("to: plc, on_stale: {value: {angular: {z: 0.5}}}")
     assert (plan.action, plan.record[40:], any(plan.record[:40])) == (

@@ -54,7 +54,7 @@ def test_rules(program: list[str]) -> None:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_scribbled_words(program: list[str], seed: int) -> None:
-    """Whatever stands in the control words, no access leaves it, and nothing accepted is a mixture."""
+    """Whatever is in the control words, no access leaves it, and nothing accepted is a mixture."""
     rounds = 5_000 if "qemu" in program[0] else 50_000
     assert _run(program, "scribble", rounds, seed)["taken"] > 0
 

@@ -28,7 +28,7 @@ def stage(tmp_path: Path, shm_namespace: Namespace) -> Iterator[Stage]:
 
 
 def test_every_kind_has_a_case() -> None:
-    """No kind of finding stands in the table without a machine that has it and one that has not."""
+    """No kind of finding is in the table without a machine that has it and one that has not."""
     missing = set(KINDS) - set(CASES)
     assert missing <= (set() if os.geteuid() == 0 else NEEDS_ROOT)
     assert set(CASES) <= set(KINDS)

@@ -22,7 +22,7 @@ _WATCHDOG = 60.0
 
 
 def screen(app):
-    """Return what stands on the screen, line by line."""
+    """Return what is on the screen, line by line."""
     strips = app.screen._compositor.render_strips()
     return ["".join(segment.text for segment in line).rstrip() for line in strips]
 
@@ -149,7 +149,7 @@ def test_a_message_is_a_tree_with_live_values_and_a_course(channels, top):
 
 
 def test_a_long_array_is_shown_in_part(channels, top):
-    """Its length stands there, and its first elements when it is opened."""
+    """Its length is there, and its first elements when it is opened."""
     side = channels("/scan", "sensor_msgs/msg/LaserScan", sequence=500)
     side.send(ranges=[float(number) for number in range(500)])
 

@@ -65,7 +65,7 @@ def test_the_first_look_claims_to_know_nothing_of_life(cell):
 
 
 def test_a_bridge_that_was_killed_is_dead(cell):
-    """Its claim stays and its beat stands still: one event for the bridge, and its process is named."""
+    """Its claim stays and its beat stops: one event for the bridge, and its process is named."""
     sides = [cell.side(f"/n{number}") for number in range(3)]
     watch = cell.watch()
     watch.look()

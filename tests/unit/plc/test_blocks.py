@@ -135,7 +135,7 @@ def test_mending_follows_every_bundled_type():
 
 
 def test_a_block_names_the_layout_that_it_expects():
-    """Both words of the layout id and the record's size stand in the body, for both directions."""
+    """Both words of the layout id and the record's size are in the body, for both directions."""
     each = layout(JOINTS)
     low, high = each.layout_id_words
     arguments = f"udiLayoutLo := 16#{low:08X}, udiLayoutHi := 16#{high:08X}, udiRecordSize := {each.size}"

@@ -61,7 +61,7 @@ def test_tasks_keep_urgent_and_slow_topics_apart():
 
 
 def test_a_task_that_only_writes_may_open_too():
-    """The reset of the open attempts stands in a reading program even if nothing is read."""
+    """The reset of the open attempts is in a reading program even if nothing is read."""
     made = project(write("/out"))
     assert list(programs(made)) == ["SharedMemory_Read", "SharedMemory_Write"]
     assert "axMayOpen[0] := TRUE;" in programs(made)["SharedMemory_Read"]
@@ -169,7 +169,7 @@ def test_blocks_are_built_once_per_type_and_direction():
 
 
 def test_settings_fix_prefix_ordering_and_beat():
-    """What holds for the whole project stands in one constant list."""
+    """What holds for the whole project is in one constant list."""
     made = project(read("/a"), prefix="cell7", target="arm", fenced=False, beat_ms=3000)
     (block,) = named(made.gvls, "RosPlc_Settings").blocks
     assert block.constant

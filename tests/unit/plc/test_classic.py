@@ -74,7 +74,7 @@ def test_calls_say_what_the_configuration_says(made):
 
 
 def test_methods_are_those_of_the_original_design(made):
-    """FB_Init and MEM_Read or MEM_Write stand in the block, FB_Exit in what it extends."""
+    """FB_Init and MEM_Read or MEM_Write are in the block, FB_Exit in what it extends."""
     for name, method in (("ClassicRead", "MEM_Read"), ("ClassicWrite", "MEM_Write")):
         block = named(made.pous, f"geometry_msgs_Twist_{name}")
         public = [m.name for m in block.methods if m.access == "PUBLIC"]
@@ -119,7 +119,7 @@ def test_a_wait_takes_half_a_cycle_at_most(wait_ms, cycle_ms, expected):
 
 
 def test_the_library_is_asked_for_where_it_is_needed(made):
-    """SysSemProcess stands in the project with classic topics, and in no other."""
+    """SysSemProcess is in the project with classic topics, and in no other."""
     assert "SysSemProcess" in made.libraries
     assert "SysSemProcess" not in project(read("/plain", TWIST)).libraries
     root = etree.fromstring(plcopen_xml(made))

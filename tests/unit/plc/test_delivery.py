@@ -149,7 +149,7 @@ def test_a_folder_without_permission_is_an_error(tmp_path):
 
 
 def test_every_object_has_a_file_of_its_own():
-    """Also on file systems that do not tell case apart; the other deliveries stand beside."""
+    """Also on file systems that do not tell case apart; the other deliveries are beside it."""
     made = project(read("/a"), write("/b"))
     files = project_files(made, [layout("std_msgs/msg/Bool")], "rosplc")
     texts = {path: content for path, content in files.items() if path.endswith(".st")}

@@ -93,7 +93,7 @@ def test_the_smallest_int64_is_written_without_a_number_too_large():
 
 
 def test_a_list_becomes_an_array_initialiser():
-    """Arrays stand in brackets; an empty one has no initialiser."""
+    """Arrays are in brackets; an empty one has no initialiser."""
     assert literal("int8", [1, -2]) == "[1, -2]"
     assert literal("string", ("a", "b,c")) == "['a', 'b,c']"
     assert literal("int8", []) is None

@@ -56,7 +56,7 @@ def local(element):
 
 
 def data(element, kind):
-    """Return what stands in an element's own addData under a name of CODESYS."""
+    """Return what is in an element's own addData under a name of CODESYS."""
     found = element.findall(f"{PLC}addData/{PLC}data[@name='{DATA}{kind}']")
     return [entry[0] if len(entry) else None for entry in found]
 
@@ -174,7 +174,7 @@ def test_no_configuration_is_invented(root):
 
 
 def test_every_data_block_names_what_codesys_knows(root):
-    """Only names that stand in real exports, each with the handling that it has there."""
+    """Only names that are in real exports, each with the handling that it has there."""
     known = dict.fromkeys(
         ("projectinformation", "attributes", "method", "interfaceasplaintext", "pouinheritance", "globalvars",
          "accessmodifiers", "inputassignments", "libraries"),
@@ -213,7 +213,7 @@ def test_messages_have_the_pack_mode(made, root):
 
 
 def test_pous_say_what_the_model_says(made, root):
-    """Interface, body, base and the declaration as text, which stands in addData behind the body."""
+    """Interface, body, base and the declaration as text, which is in addData behind the body."""
     elements = root.findall(f"{PLC}types/{PLC}pous/{PLC}pou")
     assert [element.get("name") for element in elements] == [pou.name for pou in made.pous]
     kinds = {"functionBlock": "FUNCTION_BLOCK", "function": "FUNCTION", "program": "PROGRAM"}

@@ -104,7 +104,7 @@ def test_a_change_replaces_what_it_concerns_alone(ide):
 
 
 def test_an_instance_of_another_topic_gets_its_new_argument(ide):
-    """The IDE keeps an instance's FB_Init arguments when the text is replaced, so the list is made anew."""
+    """The IDE keeps an instance's FB_Init arguments when the text is replaced, so the list is made again."""
     for topic in ("/a/b", "/a_b"):
         run(import_script(project(read(topic), read("/c"))), ide)
         ros = next(i for i in ide.active_application.get_children(False) if i.get_name(False) == "ROS")

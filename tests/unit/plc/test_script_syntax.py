@@ -1,4 +1,4 @@
-"""The IDE runs the import script with IronPython 2.7: nothing newer may stand in it."""
+"""The IDE runs the import script with IronPython 2.7: nothing newer may are in it."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def with_safe() -> PlcProject:
 
 
 def test_safe_messages_are_constants_that_the_program_hands_over() -> None:
-    """They hold when the bridge is dead, too: they stand in the project."""
+    """They hold when the bridge is dead, too: they are in the project."""
     made = with_safe()
     gvl = named(made.gvls, "ROS_Safe")
     (block,) = gvl.blocks

@@ -75,7 +75,7 @@ def test_both_libraries_read_every_message(tmp_path: Path, compression: Compress
 
 
 def test_the_library_finds_messages_by_their_index(tmp_path: Path) -> None:
-    """Reading by time and topic, which goes by the indexes, gives exactly what lies there."""
+    """Reading by time and topic, which goes by the indexes, gives exactly what the file has."""
     path = tmp_path / "a.mcap"
     file = McapFile(path)
     for channel in (STRING, NUMBER):

@@ -151,7 +151,7 @@ def test_only_what_was_asked_for(shm_namespace: Namespace, tmp_path: Path) -> No
 
 
 def test_messages_are_in_the_file_before_its_end(shm_namespace: Namespace, tmp_path: Path) -> None:
-    """What is older than a chunk's time stands in the file while it is being written."""
+    """What is older than a chunk's time is in the file while it is being written."""
     feed = Feed(shm_namespace, "/a")
     with recording(shm_namespace, tmp_path / "r", flush_ns=50_000_000) as recorder:
         for number in range(1, 11):
@@ -213,7 +213,7 @@ def test_an_event_saves_the_last_minutes(shm_namespace: Namespace, tmp_path: Pat
 
 
 def test_a_trigger_before_the_end_is_saved(shm_namespace: Namespace, tmp_path: Path) -> None:
-    """Who stops a recorder that waits for what comes after a trigger gets the file all the same."""
+    """Who stops a recorder that waits for what comes after a trigger gets the file anyway."""
     feed = Feed(shm_namespace, "/a")
     with recording(
         shm_namespace, tmp_path / "r", keep_ns=10**10, after_ns=3600 * 10**9, most_files=1

@@ -92,7 +92,7 @@ def test_damaged_bags_end_in_an_error_of_ours(tmp_path: Path, kind: str) -> None
 
 
 def test_errors_of_libraries_below_become_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An error of a class that nobody listed, as SQLite's wrapper has them, ends in ROS006 all the same."""
+    """An error of a class that nobody listed, as SQLite's wrapper has them, ends in ROS006 anyway."""
     path = record(tmp_path / "folder", "sqlite3", count=5)
 
     class ForeignError(Exception):

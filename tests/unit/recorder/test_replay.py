@@ -190,7 +190,7 @@ def recorded(namespace: Namespace, base: Path, feed: Feed, values: list[Any]) ->
 
 
 def test_into_channels_and_back(shm_namespace: Namespace, tmp_path: Path) -> None:
-    """What is replayed stands in a channel like the recorded one, and a PLC's reader gets every message."""
+    """What is replayed is in a channel like the recorded one, and a PLC's reader gets every message."""
     other = Namespace(shm_namespace.prefix + "x", shm_namespace.directory)
     feed = Feed(shm_namespace, "/a", "sensor_msgs/msg/JointState", limits=Limits(9, 3))
     values = [{"name": ["x" * 9], "position": [float(n)]} for n in range(20)]

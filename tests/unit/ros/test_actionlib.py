@@ -366,7 +366,7 @@ def test_a_goal_that_is_never_listed(cell: Raw, robot: Client, clock: SteppedClo
 
 
 def test_a_result_that_was_missed(cell: Raw, robot: Client, clock: SteppedClock) -> None:
-    """The goal's status is known all the same."""
+    """The goal's status is known anyway."""
     robot.adopt(ONE)
     cell.list((TEXT, 3))
     assert robot.wait("status").status is GoalStatus.SUCCEEDED

@@ -192,7 +192,7 @@ def test_a_result_is_kept(server: Server, client: Client, clock: SteppedClock, g
 
 
 def test_a_result_without_content_is_the_default(server: Server, client: Client) -> None:
-    """A goal that ends without a result ends all the same."""
+    """A goal that ends without a result still ends."""
     begin(server, client)
     assert server.abort(ONE)
     assert client.wait(ONE, "result").payload == b"\0\1\0\0\0\0\0\0"

@@ -93,7 +93,7 @@ def test_static_peers_are_asked() -> None:
 
 
 def test_peer_addresses_are_quoted() -> None:
-    """What stands in the variable cannot leave its attribute."""
+    """What is in the variable cannot leave its attribute."""
     domain = parsed({"ROS_STATIC_PEERS": '"/><Evil a="&'})
     assert [p.get("address") for p in domain.findall("Discovery/Peers/Peer")] == ['"/><Evil a="&']
 

@@ -102,7 +102,7 @@ def test_a_killed_publisher_is_missed_by_its_lease(graph: Graph) -> None:
 
 
 def test_the_configuration_hands_them_on() -> None:
-    """Both stand in the plan; other backends are refused with the key, not silently without effect."""
+    """Both are in the plan; other backends are refused with the key, not silently without effect."""
     entry = f"type: {INT}, to: plc, qos: {{deadline: 20Hz, lease: 1s}}"
     (plan,) = resolve(parse_config(f"topics:\n  /a: {{{entry}}}\n")).topics
     assert (plan.qos.deadline_ns, plan.qos.lease_ns) == (50 * MS, 1000 * MS)

@@ -105,7 +105,7 @@ def test_a_server_that_leaves_ends_its_calls(nodes: Any) -> None:
 
 
 def test_a_refused_or_forgotten_call_gets_no_answer(nodes: Any) -> None:
-    """Both are forgotten; a response that comes all the same is counted as late."""
+    """Both are forgotten; a response that comes anyway is counted as late."""
     requests, replies = Requests(), list[Reply]()
     server = nodes("cell").serve("/start", SET_BOOL, SERVICES, requests)
     client = nodes("robot").client("/start", SET_BOOL, SERVICES)

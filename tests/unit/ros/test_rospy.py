@@ -149,7 +149,7 @@ def read(data: bytes, *, close: bool = True) -> dict[str, str]:
 
 
 def test_header_is_read_to_its_end_and_no_further() -> None:
-    """What stands behind the header stays in the connection."""
+    """What follows the header stays in the connection."""
     here, there = socket.socketpair()
     with here, there:
         there.sendall(handshake.encode_header({"topic": "/a", "note": "x=y"}))
@@ -261,7 +261,7 @@ def service_client(monkeypatch: pytest.MonkeyPatch, host: str) -> RospyClient:
 
 
 def test_a_server_at_a_host_that_cannot_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is not ready; a call that is made all the same was certainly not executed."""
+    """It is not ready; a call that is made anyway was certainly not executed."""
     client = service_client(monkeypatch, "a..b")
     client._look()
     assert "cannot be called" in client.problem[1]

@@ -90,7 +90,7 @@ def test_overrun_and_gap_add_up() -> None:
 
 
 def test_memory_of_publishers_is_bounded() -> None:
-    """Whoever makes up senders' ids takes up no more memory than a thousand real ones."""
+    """Made-up senders' ids take up no more memory than a thousand real ones."""
     one = Subscription()
     for number in range(5000):
         one.hear(1, gid=number.to_bytes(16, "little"))

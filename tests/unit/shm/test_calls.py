@@ -72,7 +72,7 @@ class Server:
         self.answerer.answered(info.correlation)
 
     def crash(self) -> None:
-        """Make the claims silent ones: whoever comes next replaces them."""
+        """Make the claims silent ones: the next claimant replaces them."""
         for region in (self.asks.region, self.answers.region):
             region.store(spec.reader_line(0) + spec.READER_LINE["beat_ms"], 1)
             region.store(spec.WRITER_LINE["writer_beat_ms"], 1)
@@ -232,7 +232,7 @@ def test_objects_are_adopted_together(shm_namespace: Namespace) -> None:
 
 @pytest.mark.parametrize("what", ["layout", "removed", "retired", "damaged"])
 def test_objects_are_replaced_together(shm_namespace: Namespace, what: str) -> None:
-    """If one cannot be adopted none is, and whoever has the other one mapped notices."""
+    """If one cannot be adopted none is, and a program that has the other one mapped notices."""
     _reasons(open_service(shm_namespace))
     path = shm_namespace.path("/add", Part.RESPONSE)
     if what == "removed":

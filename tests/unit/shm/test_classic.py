@@ -92,7 +92,7 @@ def test_a_replaced_memory_is_noticed(tmp_path: Path) -> None:
 
 @pytest.mark.needs(when=os.geteuid() == 0, why="only root can be another user")
 def test_rights_that_are_missing_are_named(tmp_path: Path, name: str) -> None:
-    """Who owns what is closed to this process stands in the error, with what helps."""
+    """Who owns what is closed to this process is in the error, with what helps."""
     for part in (tmp_path, *tmp_path.parents[:-1]):
         part.chmod(part.stat().st_mode | 0o011)
     (tmp_path / "io").write_bytes(bytes(48))
@@ -153,7 +153,7 @@ def test_a_sign_of_life_keeps_the_lock(name: str) -> None:
 
 
 def test_looks_that_are_far_apart_prove_nothing(name: str) -> None:
-    """A bridge that stood still itself begins to count again."""
+    """A bridge that was stopped itself begins to count again."""
     held(name).close()
     lock = ClassicLock(name, SECOND)
     for now in range(0, 60 * SECOND, SECOND // 2):

@@ -56,7 +56,7 @@ def test_members_of_the_wrong_kind(change: dict[str, object]) -> None:
     "text", [b"", b"\xff\xfe", b"[]", b"nul", b"{}", b"\0" * 50, b"[" * 100_000, b'{"topic": "\\ud800"']
 )
 def test_what_is_no_description(text: bytes) -> None:
-    """Whatever stands there, the answer is SHM113."""
+    """Whatever is there, the answer is SHM113."""
     with pytest.raises(ChannelError, match="SHM113"):
         Description.from_json(text)
 

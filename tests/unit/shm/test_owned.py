@@ -83,7 +83,7 @@ def test_same_object_is_adopted_with_its_messages(shm_namespace: Namespace) -> N
 def test_other_object_is_replaced_and_retired(
     shm_namespace: Namespace, changes: dict[str, object], reason: str
 ) -> None:
-    """What differs is replaced, and whoever has the old one mapped notices at the next call (M19)."""
+    """What differs is replaced, and a program that has the old one mapped notices at the next call (M19)."""
     with open_channel(shm_namespace):
         attached = attach(shm_namespace, _TOPIC)
         reader = attached.reader()
@@ -274,7 +274,7 @@ def test_retire(shm_namespace: Namespace) -> None:
 
 
 def test_retire_spares_another_object(shm_namespace: Namespace) -> None:
-    """A bridge that has lost its name does not remove what stands there now."""
+    """A bridge that has lost its name does not remove what is there now."""
     channel = open_channel(shm_namespace)
     path = shm_namespace.path(_TOPIC)
     path.unlink()

@@ -67,6 +67,6 @@ def test_a_count_of_another_message_is_found() -> None:
 
 
 def test_counters_outlive_their_writer(counters: Counters, tmp_path: Path) -> None:
-    """Whoever maps the file again finds what was written."""
+    """A process that maps the file again finds what was written."""
     counters.take(3, fill(3, 5, 1))
     assert Counters(tmp_path / "counters").arrived(3) == (5, 1)

@@ -51,7 +51,7 @@ def test_each_start_is_a_process_of_its_own(plc: Part, tmp_path: Path) -> None:
 
 
 def test_what_fails_is_logged(plc: Part, tmp_path: Path) -> None:
-    """An error ends the process with status 1, and its trace stands in the log."""
+    """An error ends the process with status 1, and its trace is in the log."""
     part = plc
     part._command = lambda: ["python", "-m", "tests.soak.plc", str(tmp_path / "nowhere"), "1", "nobody"]
     part.start()

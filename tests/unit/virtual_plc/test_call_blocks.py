@@ -238,7 +238,7 @@ def started(side: Side, block: ServiceClient, timeout: float = 0.0) -> SlotInfo:
 
 
 def test_a_reason_that_is_none(sides: Sides) -> None:
-    """A call that ends for a reason of a later format is ended all the same."""
+    """A call that ends for a reason of a later format is ended anyway."""
     side, block = sides("ros")
     side.answer(started(side, block), ANSWER_NOT_EXECUTED, 99)
     side.scan(block)

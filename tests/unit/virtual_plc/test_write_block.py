@@ -132,7 +132,7 @@ def test_a_retired_object_is_left(side, scans):
 
 
 def test_what_nobody_filled_is_not_sent(side, scans):
-    """An object with another layout gives msg anew: that call publishes nothing, for nobody has set it."""
+    """An object with another layout creates msg again: that call publishes nothing, for nobody has set it."""
     bridge = side("/n", INT, TO_ROS)
     block = writing(bridge)
     scans(block)

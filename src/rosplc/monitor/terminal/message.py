@@ -89,7 +89,7 @@ class Course(Vertical):
         name.update(Text.assemble((one_line(path), "bold"), f"  {now:.6g}"), layout=False)
         span = f"min {low:.6g}  max {high:.6g}  over {len(shown) * seconds:.0f} s"
         figures.update(Text(span, style="dim"), layout=False)
-        # Bars stand on the lowest value: a steady number is a flat line, whatever its size.
+        # Bars begin at the lowest value: a steady number is a flat line, whatever its size.
         bars.data = [value - low for value in shown] if high > low else [0.0] * len(shown)
 
 

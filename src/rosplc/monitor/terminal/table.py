@@ -174,7 +174,7 @@ class ChannelTable(ScrollView, can_focus=True):
     """Shows channels in an order; the cursor follows its channel."""
 
     class Highlighted(Message):
-        """The cursor stands on another channel."""
+        """The cursor is on another channel."""
 
     class Opened(Message):
         """A channel was chosen, by Enter or a second click."""

@@ -89,7 +89,7 @@ def _checked(topic: str, node: str, header: Mapping[str, str]) -> WireDefinition
         raise BackendError(
             "ROS017",
             f"node {node} gives {name} the md5 {header['md5sum'][:64]}, but its definition has {md5}",
-            remedy="The node's messages were built from other files than it tells; build it anew.",
+            remedy="The node's messages were built from other files than it tells; build it again.",
         )
     return WireDefinition(topic, node, name, md5, text, header.get("latching") == "1", store)
 

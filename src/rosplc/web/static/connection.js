@@ -40,7 +40,7 @@ export function want(messages, plots) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ wants }));
 }
 
-/** Connect anew, with another token. */
+/** Connect again, with another token. */
 export function reconnect() {
   const old = socket;
   socket = null;

@@ -1,4 +1,4 @@
-// Plots over time: which fields, how wide a window, and whether time stands still.
+// Plots over time: which fields, how wide a window, and whether time is paused.
 
 import { announce, el, fill, setAttribute, setText } from "./dom.js";
 import { linkTo } from "./channels.js";
@@ -49,7 +49,7 @@ export class Plots {
     try {
       localStorage.setItem(KEY, JSON.stringify(this.fields));
     } catch {
-      // Then they are chosen anew next time.
+      // Then they are chosen again next time.
     }
     store.say("plots");
   }

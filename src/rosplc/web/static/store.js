@@ -62,7 +62,7 @@ class Store extends EventTarget {
     this.say("link");
   }
 
-  /** Forget what a server before this one said; it counts anew. */
+  /** Forget what a server before this one said; it counts from zero. */
   begin(hello) {
     this.hello = hello;
     this.channels.clear();

@@ -11,7 +11,7 @@ let chosen = "system";
 try {
   chosen = localStorage.getItem(KEY) ?? "system";
 } catch {
-  // Without storage it is chosen anew each time.
+  // Without storage it is chosen again each time.
 }
 if (!ORDER.includes(chosen)) chosen = "system";
 

@@ -87,7 +87,7 @@ function dialog(yes) {
   const close = el("button", { type: "button", class: "button", onclick: () => root.close() }, "Do not write");
   const root = el("dialog", { class: "dialog", "aria-labelledby": "write-title" },
     title,
-    el("p", {}, "Whoever reads this channel acts on the message: a machine may move. Is everybody out of its way?"),
+    el("p", {}, "The reader of this channel acts on the message: a machine may move. Is everybody at a safe distance?"),
     values, warning,
     el("div", { class: "tools" }, close, el("button", { type: "button", class: "button danger", onclick: () => { root.close(); yes(message); } }, "Write now")));
   return {

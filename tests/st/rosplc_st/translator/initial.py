@@ -92,7 +92,7 @@ def _flat(node: Any) -> Iterator[Any]:
 
 
 def _inside(node: Any) -> Any:
-    """Return what stands in round brackets, which the parser takes for a list of one."""
+    """Return what is in round brackets, which the parser takes for a list of one."""
     while type(node).__name__ == "ArrayInitialization" and not node.brackets:
         if len(node.elements) != 1 or node.elements[0].count is not None:
             break
