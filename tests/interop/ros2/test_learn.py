@@ -12,7 +12,7 @@ from rosplc.errors import MessageTypeError
 from rosplc.init.learn import Definitions, learn
 from rosplc.model import TypeStore
 from rosplc.model.folders import save_definitions
-from rosplc.ros import Backend, open_backend, settled_graph
+from rosplc.ros import open_backend, settled_graph
 from tests.interop.graphs import LOCAL
 from tests.interop.ros2.conftest import Peer
 
@@ -26,9 +26,17 @@ def real() -> TypeStore:
     return TypeStore.bundled("kilted").with_paths([SHARE / "test_msgs"])
 
 
-def found(backend: Backend, *topics: str) -> None:
-    """Wait until the topics' publishers are seen."""
-    assert set(topics) <= settled_graph(backend.graph, 60.0, topics).topics.keys()
+def learnt(domain: int, peer: Peer, name: str, backend: str = "rclpy") -> Definitions:
+    """Have the peer publish a type, and learn it from the peer."""
+    peer.advertise("/custom", name)
+    definitions = Definitions("kilted", environment={})
+    opened = open_backend(backend, definitions.store, "cell", domain=domain, environment=LOCAL)
+    try:
+        assert "/custom" in settled_graph(opened.graph, 60.0, ["/custom"]).topics
+        learn(definitions, opened, "/custom", name)
+    finally:
+        opened.close()
+    return definitions
 
 
 @pytest.mark.parametrize("base", ["Constants", "Defaults", "Empty", "MultiNested"])
@@ -36,14 +44,7 @@ def test_over_rclpy(domain: int, peer: Peer, base: str, tmp_path: Path) -> None:
     """With constants and default values, and what is saved is read as the package's own files are."""
     name = f"test_msgs/msg/{base}"
     assert name not in TypeStore.bundled("kilted")
-    peer.advertise("/custom", name)
-    definitions = Definitions("kilted", environment={})
-    backend = open_backend("rclpy", definitions.store, "cell", domain=domain, environment=LOCAL)
-    try:
-        found(backend, "/custom")
-        learn(definitions, backend, "/custom", name)
-    finally:
-        backend.close()
+    definitions = learnt(domain, peer, name)
     assert {*definitions.origins.values()} == {"node /peer"}
     save_definitions(definitions.texts, tmp_path)
     saved = TypeStore.bundled("kilted").with_paths([tmp_path])
@@ -57,14 +58,7 @@ def test_over_rclpy(domain: int, peer: Peer, base: str, tmp_path: Path) -> None:
 def test_a_source_that_cannot_be_used(domain: int, peer: Peer, base: str) -> None:
     """IDL, and quotes that ROS's generator mangles: the fields count, the origin says what is missing."""
     name = f"test_msgs/msg/{base}"
-    peer.advertise("/custom", name)
-    definitions = Definitions("kilted", environment={})
-    backend = open_backend("rclpy", definitions.store, "cell", domain=domain, environment=LOCAL)
-    try:
-        found(backend, "/custom")
-        learn(definitions, backend, "/custom", name)
-    finally:
-        backend.close()
+    definitions = learnt(domain, peer, name)
     described = json.loads((SHARE / f"{name}.json").read_text())["type_description_msg"]["type_description"]
     fields = [field.name for field in definitions.store[name].fields]
     assert fields == [field["name"] for field in described["fields"]]
@@ -75,14 +69,7 @@ def test_a_source_that_cannot_be_used(domain: int, peer: Peer, base: str) -> Non
 
 def test_fast_dds_cannot_be_asked_over_dds(domain: int, peer: Peer) -> None:
     """The error gives the reason and the remedy."""
-    peer.advertise("/custom", "test_msgs/msg/Constants")
-    definitions = Definitions("kilted", environment={})
-    backend = open_backend("dds", definitions.store, "cell", domain=domain, environment=LOCAL)
-    try:
-        found(backend, "/custom")
-        with pytest.raises(MessageTypeError, match="another DDS than Cyclone's") as refused:
-            learn(definitions, backend, "/custom", "test_msgs/msg/Constants")
-    finally:
-        backend.close()
+    with pytest.raises(MessageTypeError, match="another DDS than Cyclone's") as refused:
+        learnt(domain, peer, "test_msgs/msg/Constants", "dds")
     assert refused.value.code == "TYP001"
     assert "--types" in refused.value.remedy

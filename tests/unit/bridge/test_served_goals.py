@@ -305,6 +305,15 @@ def accepted(cell: Cell, uuid: bytes = A) -> SlotInfo:
     return info
 
 
+def bring(cell: Cell, how: str) -> None:
+    """Have a goal ``handed out``, ``begun`` or ``accepted``."""
+    if how == "handed out":
+        cell.ros.send(A)
+        cell.turn()
+    else:
+        begun(cell) if how == "begun" else accepted(cell)
+
+
 # -- from the decision to the end
 
 
@@ -617,11 +626,7 @@ def test_a_request_to_cancel_is_repeated_after_a_refusal(make: Make) -> None:
 def test_the_plc_stops_or_starts_again(make: Make, how: str, again: bool) -> None:
     cell = make()
     cell.attach()
-    if how == "handed out":
-        cell.ros.send(A)
-        cell.turn()
-    else:
-        begun(cell) if how == "begun" else accepted(cell)
+    bring(cell, how)
     cell.stop_program()
     if again:
         cell.plc = Plc(cell)
@@ -910,11 +915,7 @@ def test_the_plc_started_again_without_a_bridge(make: Make, how: str) -> None:
     """The goal's messages say under which claim it was handed out."""
     cell = make()
     cell.attach()
-    if how == "handed out":
-        cell.ros.send(A)
-        cell.turn()
-    else:
-        begun(cell) if how == "begun" else accepted(cell)
+    bring(cell, how)
     cell.kill()
     cell.stop_program()
     cell.plc = Plc(cell)
