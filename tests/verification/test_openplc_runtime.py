@@ -15,6 +15,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,9 @@ import rosplc
 from rosplc.codec import Codec, Wire
 from rosplc.config.resolve import Project, load_project
 from rosplc.demo.plan import FreeDomain
-from rosplc.ros import Qos, open_backend
+from rosplc.layout import compute_layout
+from rosplc.ros import SERVICES, Qos, open_backend
+from rosplc.ros.backend import Reply
 from rosplc.shm import Namespace
 from tests.e2e.cell import Bridge
 from tests.lib.waiting import wait_for
@@ -77,6 +80,26 @@ CONFIGURATION Config0
     TASK slow(INTERVAL := T#50ms, PRIORITY := 1);
     PROGRAM instance0 WITH fast : Fast;
     PROGRAM instance1 WITH slow : Slow;
+  END_RESOURCE
+END_CONFIGURATION
+"""
+CALLS = """PROGRAM Calls
+VAR
+    start : std_srvs_SetBool_Server;
+    pick : std_srvs_SetBool_Client;
+    pick_again : BOOL;
+END_VAR
+start(sName := '/start', xReply := start.xRequest);
+start.response.success := start.request.data;
+start.response.message := 'served by the PLC';
+pick.request.data := pick.response.success;
+pick(sName := '/close', xExecute := pick_again);
+pick_again := NOT (pick.xDone OR pick.xError);
+END_PROGRAM
+CONFIGURATION Config0
+  RESOURCE Res0 ON PLC
+    TASK fast(INTERVAL := T#10ms, PRIORITY := 2);
+    PROGRAM instance0 WITH fast : Calls;
   END_RESOURCE
 END_CONFIGURATION
 """
@@ -168,7 +191,7 @@ class Ros:
     """A ROS node that sends random messages and compares what comes back."""
 
     def __init__(self, project: Project, domain: int) -> None:
-        self._node = open_backend("dds", project.store, "peer", domain=domain)
+        self.node = open_backend("dds", project.store, "peer", domain=domain)
         self._draw = random.Random(15)
         self._layout = project.topics[0].layout
         self._codec = Codec(self._layout, Wire.CDR)
@@ -176,12 +199,12 @@ class Ros:
         self.sent: dict[str, list[bytes]] = {"": [], "slow_": []}
         self._out = {}
         for way, heard in self.heard.items():
-            self._out[way] = self._node.advertise(f"/{way}there", "kinds/msg/All", QOS)
+            self._out[way] = self.node.advertise(f"/{way}there", "kinds/msg/All", QOS)
 
             def take(payload: bytes, *_: object, heard: list[bytes] = heard) -> None:
                 heard.append(bytes(payload))
 
-            self._node.subscribe(f"/{way}back", "kinds/msg/All", QOS, take)
+            self.node.subscribe(f"/{way}back", "kinds/msg/All", QOS, take)
 
     def matched(self) -> bool:
         return all(out.matched for out in self._out.values())
@@ -228,7 +251,7 @@ class Ros:
         return f"{sum(map(len, self.sent.values()))} sent, {lost} lost"
 
     def close(self) -> None:
-        self._node.close()
+        self.node.close()
 
 
 class Cell:
@@ -249,6 +272,9 @@ class Cell:
                 for way in ("", "slow_")
                 for name, to in (("there", "plc"), ("back", "ros"))
             )
+            + "services:\n"
+            "  /start: {type: std_srvs/srv/SetBool, server: plc}\n"
+            "  /close: {type: std_srvs/srv/SetBool, server: ros}\n"
         )
         self.project = load_project(self.path)
         (folder / "runtime").mkdir()
@@ -323,3 +349,45 @@ def test_either_side_is_killed(who: str, cell: Cell) -> None:
         cell.ros.until_back()
     cell.ros.whole(20)
     print(cell.ros.nothing_else())
+
+
+def test_calls_are_answered(cell: Cell) -> None:
+    """The PLC answers each call of a ROS client, and a ROS server each of the PLC, before and after STOPs."""
+    store, node = cell.project.store, cell.ros.node
+    ask, answer = (
+        Codec(compute_layout(store, f"std_srvs/srv/SetBool_{part}"), Wire.CDR)
+        for part in ("Request", "Response")
+    )
+
+    def packed(codec: Codec, **values: object) -> bytes:
+        return codec.encode(bytes(codec.layout.pack(values)))
+
+    asked: list[bool] = []
+
+    def serve(request: bytes, caller: bytes, _: int) -> None:
+        data = ask.layout.view(bytearray(ask.decode(request))).data
+        asked.append(data)
+        server.reply(caller, packed(answer, success=not data, message="served by ROS"))
+
+    server = node.serve("/close", "std_srvs/srv/SetBool", SERVICES, serve)
+    client = node.client("/start", "std_srvs/srv/SetBool", SERVICES)
+    cell.runtime.load(cell.project, CALLS)
+    cell.runtime.start()
+    wait_for(lambda: client.ready, "/start is seen")
+    calls = 0
+    for _ in range(3):
+        for _ in range(100):
+            calls += 1
+            replies: list[Reply] = []
+            client.call(packed(ask, data=calls % 3 == 0), replies.append)
+            wait_for(lambda replies=replies: replies, f"the end of call {calls}")
+            assert replies[0].payload is not None, (calls, replies[0])
+            got = answer.layout.view(bytearray(answer.decode(replies[0].payload)))
+            assert (got.success, got.message) == (calls % 3 == 0, "served by the PLC")
+        begun = len(asked)
+        cell.runtime.become("STOP", "STOPPED")
+        cell.runtime.become("START", "RUNNING")
+        wait_for(lambda begun=begun: len(asked) > begun + 20, "calls of the PLC")
+    # The PLC asks for the contrary of what it was told; what was under way at a STOP may be asked again.
+    assert sum(one == after for one, after in pairwise(asked)) <= 3
+    print(f"{calls} calls answered by the PLC, {len(asked)} by ROS")
