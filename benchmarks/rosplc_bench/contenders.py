@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeAlias
 
-from rosplc.demo.st.checkout import Translator, find_translator
+from rosplc.demo.st.process import Translator, find_translator
 from rosplc.described import description_of
 from rosplc.errors import SetupError
 from rosplc.layout import Layout, Limits, compute_layout

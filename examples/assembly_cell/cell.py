@@ -279,7 +279,7 @@ class Cell:
 
 def generate(config: Path, folder: Path) -> Path:
     """Write the PLC project of a configuration with the cell's programs; return what was translated."""
-    from rosplc.demo.st.checkout import find_translator
+    from rosplc.demo.st.process import find_translator
 
     translator = find_translator()
     rosplc.generate(config, folder)

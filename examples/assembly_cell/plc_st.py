@@ -11,7 +11,7 @@ from typing import Any
 
 from examples.assembly_cell.image import PlcSide
 from examples.assembly_cell.plc_python import run
-from rosplc.demo.st.checkout import find_translator
+from rosplc.demo.st.process import find_translator
 from rosplc_st.run_project import load_texts
 
 __all__ = ["PROGRAMS", "Program"]

@@ -20,7 +20,7 @@ from examples.assembly_cell.cell import HERE, generate
 from examples.assembly_cell.plc_python import Press
 from examples.assembly_cell.view import picture
 from examples.assembly_cell.world import World
-from rosplc.demo.st.checkout import find_translator
+from rosplc.demo.st.process import find_translator
 
 pytestmark = pytest.mark.timeout(900)
 ROOT = Path(__file__).resolve().parents[2]

@@ -22,8 +22,14 @@ if shutil.which("gcc") is None:
 
 from rosplc.config.resolve import load_project
 from rosplc.demo.plan import COMMAND, Plan, command, open_command, steer
-from rosplc.demo.st.checkout import find_translator
-from rosplc.demo.st.process import CONFIGURATION, MAIN, read_texts, write_configuration, write_texts
+from rosplc.demo.st.process import (
+    CONFIGURATION,
+    MAIN,
+    find_translator,
+    read_texts,
+    write_configuration,
+    write_texts,
+)
 from rosplc.demo.supervisor import Demo
 from rosplc.errors import GenerationError
 from rosplc.layout import compute_layout

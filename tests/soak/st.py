@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.config.resolve import Project, load_project
-from rosplc.demo.st.checkout import find_translator
-from rosplc.demo.st.process import Word
+from rosplc.demo.st.process import Word, find_translator
 from rosplc.layout import Layout
 from rosplc.plc.build import plc_project
 from rosplc.plc.names import instance_names

@@ -95,8 +95,13 @@ def parse_duration(text: str) -> float:
 def _structured_text(plan: Plan) -> Iterator[Path]:
     """Give a folder with the PLC project in Structured Text, compiled by the time it is given."""
     from rosplc.config.resolve import load_project
-    from rosplc.demo.st.checkout import find_translator
-    from rosplc.demo.st.process import CONFIGURATION, read_texts, write_configuration, write_texts
+    from rosplc.demo.st.process import (
+        CONFIGURATION,
+        find_translator,
+        read_texts,
+        write_configuration,
+        write_texts,
+    )
     from rosplc.plc.build import plc_project
     from rosplc.plc.plan import ProjectOptions
 

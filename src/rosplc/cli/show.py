@@ -118,8 +118,7 @@ def command(
 def _look(plan: TopicPlan) -> ClassicState:
     from rosplc.monitor.classic import look_at
 
-    assert plan.classic is not None
-    return look_at(plan.classic.name, plan.classic.semaphore, plan.layout.size)
+    return look_at(plan)
 
 
 def _facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:

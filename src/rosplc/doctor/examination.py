@@ -24,15 +24,7 @@ from rosplc.config import ConfigErrors, Project, TopicPlan, load_project
 from rosplc.config.plans import CallPlan, ClassicPlan
 from rosplc.config.resolve import object_plans
 from rosplc.config.resolve import rights as rights_of
-from rosplc.doctor import (
-    code,
-    graph,
-    leftovers,
-    machine,
-    network,
-    objects,
-    rights,
-)
+from rosplc.doctor import code, graph, leftovers, machine, network, objects, rights
 from rosplc.doctor.code import Generated, read_generated
 from rosplc.doctor.finding import Area, Finding, Level, Report, user_name
 from rosplc.doctor.graph import see_graph

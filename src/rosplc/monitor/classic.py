@@ -12,9 +12,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rosplc.config.resolve import Project, load_project
+from rosplc.config.resolve import Project, TopicPlan, load_project
 from rosplc.errors import ChannelError
-from rosplc.layout import Layout
 from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import ChannelView, State
 from rosplc.shm import Direction, Part
@@ -36,22 +35,6 @@ class Expectation:
 
 
 @dataclass(frozen=True)
-class ClassicTopic:
-    """A classic topic, whose memory cannot describe itself.
-
-    ``semaphore`` is empty if there is none; ``stale_after_ns`` is how long its record may stay the same, 0
-    for ever.
-    """
-
-    topic: str
-    direction: Direction
-    memory: str
-    semaphore: str
-    layout: Layout
-    stale_after_ns: int = 0
-
-
-@dataclass(frozen=True)
 class Expected:
     """What configurations expect: per prefix and topic, and of classic topics with their bridge's prefix.
 
@@ -60,7 +43,7 @@ class Expected:
     """
 
     topics: Mapping[tuple[str, str], Expectation] = field(default_factory=dict)
-    classic: tuple[tuple[str, ClassicTopic], ...] = ()
+    classic: tuple[tuple[str, TopicPlan], ...] = ()
     calls: tuple[tuple[str, str, Part, str], ...] = ()
     stale_after_ns: int = 1_000_000_000
     prefixes: frozenset[str] = frozenset()
@@ -89,15 +72,12 @@ def expected_of(project: Project) -> Expected:
     """Return what a resolved configuration expects."""
     prefix = project.namespace.prefix
     topics: dict[tuple[str, str], Expectation] = {}
-    classic: list[tuple[str, ClassicTopic]] = []
+    classic: list[tuple[str, TopicPlan]] = []
     for plan in project.topics:
         if plan.port == "channel":
             topics[prefix, plan.topic] = Expectation(plan.stale_after_ns, in_order=plan.every)
-        elif (names := plan.classic) is not None:
-            topic = ClassicTopic(
-                plan.topic, plan.direction, names.name, names.semaphore, plan.layout, plan.stale_after_ns
-            )
-            classic.append((prefix, topic))
+        else:
+            classic.append((prefix, plan))
     calls = [(prefix, plan.called, part, plan.client) for plan in project.calls for part in plan.parts]
     return Expected(topics, tuple(classic), tuple(calls), prefixes=frozenset({prefix}))
 
@@ -133,14 +113,16 @@ class ClassicState:
         return {0: "taken", 1: "free"}.get(self.value, f"lets in {self.value}")
 
 
-def look_at(name: str, semaphore: str, record_size: int) -> ClassicState:
-    """Return a classic topic's memory and lock (none: an empty name); what is missing is in ``error``."""
+def look_at(plan: TopicPlan) -> ClassicState:
+    """Return a classic topic's memory and lock; what is missing is in ``error``."""
+    assert plan.classic is not None
+    name, semaphore = plan.classic.name, plan.classic.semaphore
     path = Path("/dev/shm") / name
     value = semaphore_value(Path(f"/dev/shm/sem.{semaphore}")) if semaphore else None
     if not os.path.lexists(path):
         return ClassicState(name, semaphore, value=value, error="there is no such memory", code="SHM101")
     try:
-        with ClassicMemory(path, record_size, write=False) as memory:
+        with ClassicMemory(path, plan.layout.size, write=False) as memory:
             record = memory.read()
             for _ in range(_ATTEMPTS):
                 again = memory.read()
@@ -169,8 +151,9 @@ def semaphore_value(path: Path) -> int | None:
 class ClassicWatch:
     """Watches one classic memory of a bridge's prefix; nothing stays open between two looks."""
 
-    def __init__(self, prefix: str, topic: ClassicTopic) -> None:
-        self.id = f"classic:{topic.memory}"
+    def __init__(self, prefix: str, topic: TopicPlan) -> None:
+        assert topic.classic is not None
+        self.id = f"classic:{topic.classic.name}"
         self._prefix = prefix
         self._topic = topic
         self._record: bytes | None = None
@@ -180,7 +163,7 @@ class ClassicWatch:
 
     def look(self, now_ns: int) -> ChannelView:
         """Return the memory's state; ``now_ns`` is of a monotonic clock."""
-        topic, found = self._topic, self._look()
+        topic, found = self._topic, look_at(self._topic)
         if self._since_ns is None:
             self._since_ns = now_ns
         if found.record is not None and found.record != self._record:
@@ -217,13 +200,10 @@ class ClassicWatch:
 
         Raises ChannelError if it cannot be read.
         """
-        found = self._look()
+        found = look_at(self._topic)
         if found.record is None:
             raise ChannelError(found.code, found.error, where=f"/dev/shm/{found.name}")
         return message_of(self.id, self._topic.layout, found.record, None, elements)
-
-    def _look(self) -> ClassicState:
-        return look_at(self._topic.memory, self._topic.semaphore, self._topic.layout.size)
 
     def _judge(self, found: ClassicState, *, stale: bool) -> tuple[State, str]:
         if found.code == "SHM101":

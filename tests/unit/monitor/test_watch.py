@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from rosplc.config.plans import ClassicPlan
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError
 from rosplc.levels import Level
 from rosplc.monitor import Expectation, Expected, State, Watch
-from rosplc.monitor.classic import ClassicTopic
 from rosplc.monitor.watch import MAX_CHANNELS
+from rosplc.ros import DEFAULT
 from rosplc.shm import Direction
 from tests.channels import layout_of
 
@@ -423,7 +425,15 @@ def test_a_classic_topic_is_watched_by_its_changes(cell):
     """Its memory has neither beat nor sequence: that it changes is all there is to see."""
     layout = layout_of("std_msgs/msg/Int32")
     memory = Path("/dev/shm") / f"{cell.namespace.prefix}_classic"
-    topic = ClassicTopic("/n", Direction.TO_PLC, memory.name, "", layout, stale_after_ns=10**9)
+    topic = TopicPlan(
+        "/n",
+        layout.type_name,
+        Direction.TO_PLC,
+        layout,
+        DEFAULT,
+        stale_after_ns=10**9,
+        classic=ClassicPlan(memory.name, ""),
+    )
     watch = cell.watch(expected=Expected(classic=((cell.namespace.prefix, topic),)))
     assert only(watch.look()).state is State.MISSING
     try:
