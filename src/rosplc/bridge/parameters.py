@@ -11,8 +11,8 @@ import logging
 import secrets
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rosplc.bridge.stream import Stream
@@ -20,6 +20,7 @@ from rosplc.clock import Clock
 from rosplc.config.parameters import TYPE, ParametersPlan
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, EndpointStatus, Qos, fields
+from rosplc.ros.backend import OnMessage
 from rosplc.ros.parameters import Done, Parameter, ParameterServer
 
 _log = logging.getLogger("rosplc.bridge")
@@ -27,27 +28,6 @@ _log = logging.getLogger("rosplc.bridge")
 _PATIENCE_NS = {True: 10_000_000_000, False: 2_500_000_000}
 _NOT_RUNNING = "PLC is not running"
 _NOT_TAKEN = "the PLC runs, but has not taken the value; its program may be another configuration's"
-
-
-@dataclass
-class _End:
-    """The other end of one of the two streams."""
-
-    topic: str
-    type_name: str
-    qos: Qos
-    take: Callable[[bytes], None]
-    matched: int = 1
-
-    def status(self) -> EndpointStatus:
-        return EndpointStatus(self.topic, self.type_name, "in", self.matched)
-
-    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        self.take(payload)
-        return True
-
-    def close(self) -> None:
-        return
 
 
 @dataclass
@@ -60,38 +40,42 @@ class _Set:
     number: int = 0
 
 
-@dataclass
 class PlcParameters:
     """The PLC's parameters; ``given`` replaces configured values, as from ``--params-file``."""
 
-    plan: ParametersPlan
-    store: TypeStore
-    given: Mapping[str, Any]
-    clock: Clock
-    name: str = "parameters"
-    capabilities: frozenset[str] = frozenset()
-    _sets: deque[_Set] = field(default_factory=deque)
-    _number: int = 0  # of the last set that the PLC has taken; 0: none
+    name, capabilities = "parameters", frozenset[str]()
 
-    def __post_init__(self) -> None:
-        self.values = {each.name: each.value for each in self.plan.declared} | dict(self.given)
+    def __init__(
+        self, plan: ParametersPlan, store: TypeStore, given: Mapping[str, Any], clock: Clock
+    ) -> None:
+        self.plan, self.store, self.clock = plan, store, clock
+        self.values = {each.name: each.value for each in plan.declared} | dict(given)
+        self._sets: deque[_Set] = deque()
+        self._number = 0  # of the last set that the PLC has taken; 0: none
         self._lock = threading.RLock()
         self._server: ParameterServer | None = None
-        self._give: Callable[[bytes, int], None] = lambda _data, _stamp: None
+        self._give: OnMessage = lambda _data, _stamp: None
         self._streams: Sequence[Stream] = ()
 
-    # -- what the streams see
+    # -- what the streams see: a backend that is the end of both
 
-    def subscribe(
-        self, topic: str, type_name: str, qos: Qos, on_message: Callable[[bytes, int], None]
-    ) -> Any:
+    matched = 1
+
+    def subscribe(self, _topic: str, _type: str, _qos: Qos, on_message: OnMessage) -> PlcParameters:
         """Take how the PLC is given what is wanted."""
         self._give = on_message
-        return _End(topic, type_name, qos, lambda _: None)
+        return self
 
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> Any:
+    def advertise(self, *_: object) -> PlcParameters:
         """Return what the PLC's values are given to."""
-        return _End(topic, type_name, qos, self._came)
+        return self
+
+    def status(self) -> EndpointStatus:
+        """Return that somebody listens and speaks."""
+        return EndpointStatus("", TYPE, "in", self.matched)
+
+    def close(self) -> None:
+        """Nothing."""
 
     # -- the bridge's side
 
@@ -136,14 +120,14 @@ class PlcParameters:
         with self._lock:
             self._put(secrets.randbits(63) | 1, self.values)
 
-    def _came(self, payload: bytes) -> None:
-        """Take what holds in the PLC; called by the carrier."""
+    def write(self, payload: bytes, _stamp_ns: int) -> bool:
+        """Take what holds in the PLC."""
         found = fields.unpack(self.store, TYPE, payload)
         ended = None
         with self._lock:
             if not found["number"] and self.plan.initial == "file":
                 self._restore()
-                return
+                return True
             self._number = found["number"]
             values = {name: found["values"][field] for name, field in self.plan.fields.items()}
             changed, self.values = values != self.values, values
@@ -158,6 +142,7 @@ class PlcParameters:
             ended.done("")
         with self._lock:
             self._next()
+        return True
 
     def check(self, now_ns: int) -> None:
         """Refuse what the PLC does not take, each second."""

@@ -6,8 +6,8 @@ set has taken effect when the PLC's message shows its number.
 
 from __future__ import annotations
 
-import math
 import re
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +34,11 @@ _FIELD_TYPES = {
 _PLAIN: dict[str, tuple[type, ...]] = {
     "bool": (bool,), "integer": (int,), "double": (int, float), "string": (str,), "byte": (int,)
 }  # fmt: skip
-_LARGEST = {"integer": (-(2**63), 2**63 - 1), "byte": (0, 255)}
+_LARGEST = {
+    "integer": (-(2**63), 2**63 - 1),
+    "double": (-sys.float_info.max, sys.float_info.max),  # neither infinite nor no number
+    "byte": (0, 255),
+}
 
 
 @dataclass(frozen=True)
@@ -98,39 +102,37 @@ def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> 
     if entry.range is not None:
         if entry.type not in ("integer", "double"):
             raise ValueError(f"a {entry.type} has no range")
-        least, greatest, step = (converted(entry.type, each) for each in (*entry.range, 0)[:3])
+        least, greatest, step = (_converted(entry.type, each) for each in (*entry.range, 0)[:3])
         if not least <= greatest or step < 0:
             raise ValueError(f"the range {list(entry.range)} has nothing in it")
         span = least, greatest, step
     value = entry.value
     if value is None:
         value = [] if kind != entry.type else {"bool": False, "string": ""}.get(kind, 0)
-    found = Parameter(
-        name,
-        entry.type,
-        converted(entry.type, value),
-        entry.description,
-        range=span,
-        most=most,
-        longest=longest,
-    )
-    if words := found.refusal(found.kind, found.value):
-        raise ValueError(words)
-    return replace(found, read_only=entry.read_only)
+    found = Parameter(name, entry.type, None, entry.description, entry.read_only, span, most, longest)
+    return replace(found, value=_fitting(found, value))
 
 
-def converted(kind: str, value: Any) -> Any:
+def _fitting(parameter: Parameter, value: Any) -> Any:
+    """Return a value of YAML as one that a parameter can have; ValueError with words if it cannot."""
+    found = _converted(parameter.kind, value)
+    if why := replace(parameter, read_only=False).refusal(parameter.kind, found):
+        raise ValueError(why)
+    return found
+
+
+def _converted(kind: str, value: Any) -> Any:
     """Return a value of YAML as one of a kind of parameters; ValueError with words if it is none."""
     if kind.endswith("_array"):
         if not isinstance(value, list):
             raise ValueError(f"{value!r} is no list, as {kind} is")
-        found = [converted(kind.removesuffix("_array"), each) for each in value]
+        found = [_converted(kind.removesuffix("_array"), each) for each in value]
         return bytes(found) if kind == "byte_array" else found
-    least, greatest = _LARGEST.get(kind, (None, None))
     fits = isinstance(value, _PLAIN[kind]) and isinstance(value, bool) is (kind == "bool")
-    if isinstance(value, float) and not math.isfinite(value):
-        fits = False
-    if not fits or (least is not None and greatest is not None and not least <= value <= greatest):
+    if fits and kind in _LARGEST:
+        least, greatest = _LARGEST[kind]
+        fits = least <= value <= greatest
+    if not fits:
         raise ValueError(f"{value!r} is no {kind}")
     return float(value) if kind == "double" else value
 
@@ -154,11 +156,9 @@ def given_values(arguments: Iterable[str], node: str, declared: Iterable[Paramet
     for each in declared:
         if each.name in values:
             try:
-                found[each.name] = converted(each.kind, values[each.name])
+                found[each.name] = _fitting(each, values[each.name])
             except ValueError as error:
                 raise _refuse(each.name, str(error)) from None
-            if why := replace(each, read_only=False).refusal(each.kind, found[each.name]):
-                raise _refuse(each.name, why)
     return found
 
 

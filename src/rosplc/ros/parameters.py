@@ -97,7 +97,7 @@ def shown_parameters(values: Mapping[str, str | list[str]]) -> list[Parameter]:
 
 
 class ParameterServer:
-    """Serves a node's parameters; ``apply`` makes values hold that were asked for (None: none can change).
+    """Serves a node's parameters; ``apply`` makes values hold that were asked for.
 
     Raises as :meth:`rosplc.ros.backend.Backend.serve`.
     """
@@ -107,7 +107,7 @@ class ParameterServer:
         backend: Backend,
         store: TypeStore,
         declared: Iterable[Parameter],
-        apply: Apply | None = None,
+        apply: Apply = lambda _values, done: done(""),
         *,
         clock: Clock = SYSTEM,
     ) -> None:
@@ -204,12 +204,6 @@ class ParameterServer:
                 values[name] = value
         return refused, values
 
-    def _start(self, values: Mapping[str, Any], done: Done) -> None:
-        if not values or self._apply is None:
-            done("")
-        else:
-            self._apply(values, done)
-
     def _set(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
         refused, values = self._wish(request["parameters"])
 
@@ -217,7 +211,10 @@ class ParameterServer:
             reasons = [each or why for each in refused]
             answer(results=[{"successful": not each, "reason": each} for each in reasons])
 
-        self._start(values, done)
+        if values:
+            self._apply(values, done)
+        else:
+            done("")
 
     def _set_atomically(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
         refused, values = self._wish(request["parameters"])
@@ -225,7 +222,8 @@ class ParameterServer:
         def done(why: str) -> None:
             answer(result={"successful": not why, "reason": why})
 
-        if why := "; ".join(filter(None, refused)):
-            done(why)
+        why = "; ".join(filter(None, refused))
+        if values and not why:
+            self._apply(values, done)
         else:
-            self._start(values, done)
+            done(why)

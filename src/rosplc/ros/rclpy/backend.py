@@ -110,17 +110,14 @@ class OwnNode:
         domain: int | None,
         ros_args: Sequence[str],
         clock: Clock,
-        *,
-        parameters: bool = True,
+        **more: bool,
     ) -> None:
         self.context = RclContext()
         self._clock = clock
         # Never None: rclpy would take the whole program's arguments. Without a domain it is ROS_DOMAIN_ID's.
         self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
         try:
-            self.node: Any = Node(
-                name, context=self.context, namespace=namespace, start_parameter_services=parameters
-            )
+            self.node: Any = Node(name, context=self.context, namespace=namespace, **more)
             self._executor = SingleThreadedExecutor(context=self.context)
             self._executor.add_node(self.node)
         except BaseException:
@@ -420,8 +417,8 @@ def _open(context: Context) -> RclpyBackend:
     name, namespace = validate_node_name(context.node_name), validate_namespace(context.namespace)
     number = _base.domain_number(context.domain, context.environment)
     try:
-        served = parameters is not None
-        own = OwnNode(name, namespace, number, ros_args, context.clock, parameters=served)
+        more = {} if parameters is not None else {"start_parameter_services": False}
+        own = OwnNode(name, namespace, number, ros_args, context.clock, **more)
     except Exception as error:
         raise refusal(f"cannot join the graph as {join(namespace, name)}", error) from error
     backend = RclpyBackend(own.node, context.store, context.remap, context.clock, own)
