@@ -14,12 +14,7 @@ from typing import Any, TypeAlias
 
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
-
-# Primitive → `struct` format character.
-FORMATS = {
-    "bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
-    "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
-}  # fmt: skip
+from rosplc.model.types import FORMATS
 
 Pack: TypeAlias = "Callable[[bytearray, int, Any], None]"  # Writes a value at an offset.
 

@@ -17,7 +17,7 @@ from rosplc.layout.nodes import (
     StringNode,
     StructNode,
 )
-from rosplc.layout.pack import FORMATS
+from rosplc.model.types import FORMATS
 
 _Read: TypeAlias = "Callable[[memoryview, int], Any]"
 _COUNT = struct.Struct("<I")

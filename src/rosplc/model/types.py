@@ -17,6 +17,12 @@ PRIMITIVES: dict[str, int] = {
     "float32": 4, "float64": 8,
 }  # fmt: skip
 
+# Primitive → `struct` format character.
+FORMATS = {
+    "bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
+    "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
+}  # fmt: skip
+
 Value: TypeAlias = "bool | int | float | str | tuple[Value, ...]"
 
 

@@ -50,8 +50,7 @@ def _short(payload: bytes) -> BackendError:
 
 
 def _info(uuid: bytes, stamp_ns: int) -> dict[str, Any]:
-    seconds, nanoseconds = divmod(stamp_ns, 10**9)
-    return {"goal_id": {"uuid": uuid}, "stamp": {"sec": seconds, "nanosec": nanoseconds}}
+    return {"goal_id": {"uuid": uuid}, "stamp": fields.time(stamp_ns)}
 
 
 def _read_info(info: Mapping[str, Any]) -> GoalInfo:

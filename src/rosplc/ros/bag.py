@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import apsw
@@ -43,7 +42,7 @@ class BagTopic:
 class Bag:
     """A recording, open for reading: ``.bag``, ``.mcap``, ``.db3``, or a folder of ``ros2 bag``.
 
-    A context manager. Raises BackendError ROS006.
+    Raises BackendError ROS006.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -62,14 +61,6 @@ class Bag:
         self._reader = reader
         # the ROS distribution that the file names; empty if it names none
         self.distro = "noetic" if self.ros_version == 1 else str(reader.ros_distro or "")
-
-    def __enter__(self) -> Bag:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file."""

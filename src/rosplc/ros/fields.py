@@ -7,13 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from rosplc.errors import BackendError
-from rosplc.model import TypeStore
-from rosplc.model.types import PRIMITIVES, ArrayType, FieldType, NamedType, PrimitiveType, SequenceType
-
-_LETTERS = {
-    "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
-    "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
-}  # fmt: skip
+from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, TypeStore
+from rosplc.model.types import FORMATS, PRIMITIVES
 
 
 def unpack(store: TypeStore, type_name: str, payload: bytes) -> dict[str, Any]:
@@ -71,7 +66,7 @@ class _Reader:
         return [text.removesuffix(b"\0").decode(errors="surrogateescape") for text in texts]
 
     def _numbers(self, name: str, count: int) -> Any:
-        width, letter = PRIMITIVES[name], _LETTERS[name]
+        width, letter = PRIMITIVES[name], FORMATS[name]
         self._at += -self._at % width if count else 0
         layout = f"{count}s" if letter == "B" else f"{self._order}{count}{letter}"
         found = struct.unpack_from(layout, self._body, self._at)
@@ -116,4 +111,4 @@ class _Writer:
         if values and not self.ros1:
             self.out += bytes(-len(self.out) % PRIMITIVES[name])
         plain = isinstance(values, bytes)
-        self.out += values if plain else struct.pack(f"<{len(values)}{_LETTERS[name]}", *values)
+        self.out += values if plain else struct.pack(f"<{len(values)}{FORMATS[name]}", *values)

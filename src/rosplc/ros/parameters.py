@@ -146,8 +146,7 @@ class ParameterServer:
             self._tell("changed_parameters", changed)
 
     def _tell(self, what: str, names: Iterable[str]) -> None:
-        now = self._clock.time_ns()
-        stamp = {"sec": now // 10**9 % 2**31, "nanosec": now % 10**9}
+        stamp = fields.time(self._clock.time_ns())
         found = [{"name": name, "value": self._value(self.declared[name])} for name in names]
         self._events.write(
             fields.pack(self._store, _EVENT, {"stamp": stamp, "node": self._node, what: found})

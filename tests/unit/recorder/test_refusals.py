@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -118,7 +119,7 @@ def replayed(path: Path) -> None:
 
 
 def scanned(path: Path) -> None:
-    with Bag(path) as bag:
+    with closing(Bag(path)) as bag:
         bag.topics()
         for _ in bag.messages():
             pass

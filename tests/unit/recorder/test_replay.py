@@ -6,6 +6,7 @@ import sqlite3
 import struct
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -473,7 +474,7 @@ def test_a_ros_1_bag_goes_onto_ros_1(tmp_path: Path) -> None:
     topics = {"/tf": source.topics["/tf"]}
     target = RosTarget(topics, backend="rospy", distro=ROS1, join=Ros1)
     Player(source, target, topics, ReplayOptions(speed=0)).play(never)
-    with Bag(tmp_path / "turtle.bag") as bag:
+    with closing(Bag(tmp_path / "turtle.bag")) as bag:
         assert target.backend.got == [data for *_, data in bag.messages({"/tf"})]  # type: ignore[attr-defined]
     assert len(target.backend.got) == 20 and not target.notes  # type: ignore[attr-defined]
 
