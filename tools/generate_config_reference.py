@@ -9,7 +9,7 @@ from generated_page import REFERENCE, filled, run
 from rosplc.config.file import json_schema
 
 PAGE = REFERENCE / "configuration.md"
-PLAIN = ("types", "limits", "shm", "diagnostics", "rosout", "realtime")
+PLAIN = ("types", "limits", "shm", "diagnostics", "rosout", "time", "realtime")
 SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("ros", "", ("zenoh", "rclpy")),
     *((name, "", ()) for name in PLAIN),

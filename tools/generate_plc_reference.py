@@ -26,6 +26,7 @@ actions:
 """
 OWN_TOPICS = """
 rosout: {plc: true}
+time: {plc: true}
 transforms: {tool: {target: base_link, source: tool0}}
 """
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"

@@ -30,6 +30,10 @@ class SteppedClock:
         """Return the stepped time of day."""
         return self._now + self._offset
 
+    def set_back(self, seconds: float) -> None:
+        """Step the time of day, as an administrator does; a negative number sets it forward."""
+        self._offset -= round(seconds * 1e9)
+
     def advance(self, seconds: float = 0.0, *, ns: int = 0) -> int:
         """Let time pass, wake who waited for it, and return the new monotonic time."""
         with self._changed:

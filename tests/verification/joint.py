@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.bridge import Bridge
+from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
 from rosplc.config import parse_config, resolve
 from rosplc.plc.build import plc_project
@@ -67,9 +68,19 @@ class Joint:
         domain: The ROS domain.
         backend: ``memory``, or ``dds``: the bridge is a process of its own then.
         own: As for :func:`built`.
+        clock: The bridge's, with ``memory``.
     """
 
-    def __init__(self, config: str, gvl: str, domain: int, backend: str = "memory", own: str = "") -> None:
+    def __init__(
+        self,
+        config: str,
+        gvl: str,
+        domain: int,
+        backend: str = "memory",
+        own: str = "",
+        clock: Clock = SYSTEM,
+    ) -> None:
+        self.clock = clock
         self.config, self.gvl, self.backend = config, gvl, backend
         self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
         made, self.programs = built(config, own)
@@ -82,7 +93,7 @@ class Joint:
     def start_bridge(self) -> None:
         text = self.config.replace("FOLDER", str(self.folder))
         if self.backend == "memory":
-            self.bridge = Bridge(parse_config(text))
+            self.bridge = Bridge(parse_config(text), clock=self.clock)
             self.bridge.start()
         else:
             path = self.folder / "rosplc.yaml"
@@ -140,9 +151,16 @@ class Joint:
 
 
 @contextlib.contextmanager
-def made_joint(config: str, gvl: str, domain: int, backend: str = "memory", own: str = "") -> Iterator[Joint]:
+def made_joint(
+    config: str,
+    gvl: str,
+    domain: int,
+    backend: str = "memory",
+    own: str = "",
+    clock: Clock = SYSTEM,
+) -> Iterator[Joint]:
     """Give a joint, and close it."""
-    made = Joint(config, gvl, domain, backend, own)
+    made = Joint(config, gvl, domain, backend, own, clock)
     try:
         yield made
     finally:

@@ -23,6 +23,8 @@ from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.reload import Changes, Exchange, compare
 from rosplc.bridge.ros_side import LiveTypes, RosSide
+from rosplc.bridge.ros_time import PERIOD_NS, RosTime
+from rosplc.bridge.ros_time import TOPIC as TIME_TOPIC
 from rosplc.bridge.status import ActionStatus, BridgeStatus, ServiceStatus, carried
 from rosplc.bridge.stream import Stream
 from rosplc.bridge.use import Use
@@ -32,7 +34,7 @@ from rosplc.config.resolve import Project, open_doors, resolve, rights
 from rosplc.config.transforms import TF_MESSAGE
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
-from rosplc.ros.parameters import ParameterServer, shown_parameters
+from rosplc.ros.parameters import Parameter, ParameterServer, shown_parameters
 
 _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_FeedbackMessage")}
 _CHECK_NS = 1_000_000_000
@@ -122,18 +124,17 @@ class Bridge:
             debounce_ns=settings.diagnostics.debounce_ns,
             clock=self._clock,
         )
-        heartbeat = self._heartbeat = Rounds(
-            "rosplc-heartbeat",
-            self._clock,
+        beats = [
             Duty("beating", settings.beat_ns, self.beat),
             Duty("checking", _CHECK_NS, lambda: self.check(self._clock.monotonic_ns())),
-        )
+        ]
         check_names(self.project)
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
+        inner = settings.own_topics
         own = {TF_MESSAGE for plan in self.project.topics if plan.transform}
-        of_ros = (p for p in self.project.topics if not (p.of_parameters or p.transform))
+        of_ros = (p for p in self.project.topics if not (p.of_parameters or p.transform or p.topic in inner))
         names = own | {plan.type_name for plan in of_ros}
         for plan in self.project.calls:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
@@ -148,6 +149,13 @@ class Bridge:
                 self._own_topics[rosout.TOPIC] = rosout.PlcLog(lines, self.project, self._clock)
             if own_log:
                 logging.getLogger("rosplc").addHandler(lines)
+        if settings.time.plc:
+            sim = Parameter("use_sim_time", "bool", settings.time.use_sim_time)
+            given = self._ros.given([sim]).get(sim.name, sim.value)
+            time = RosTime(self.project, self.backend, self._clock, given)
+            stack.callback(time.leave)
+            beats.append(Duty("telling the time", PERIOD_NS, time.write))
+            self._own_topics[TIME_TOPIC] = time
         # Until here nothing in shared memory has been touched.
         self._leaving = tuple(leaving(self.project, context))
         for use in self._leaving:
@@ -189,6 +197,7 @@ class Bridge:
         carriers.replace((), self._streams)
         if self._parameters is not None:
             self._parameters.begin()
+        heartbeat = self._heartbeat = Rounds("rosplc-heartbeat", self._clock, *beats)
         heartbeat.start()
         stack.callback(heartbeat.stop)
         self._realtime.rest()

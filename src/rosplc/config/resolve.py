@@ -30,7 +30,7 @@ from rosplc.config.plans import (
     usual_slots,
 )
 from rosplc.config.quantities import format_duration
-from rosplc.config.settings import TaskSettings, TopicSettings, TransformSettings
+from rosplc.config.settings import TIME_TEXT, TIME_TYPE, TaskSettings, TopicSettings, TransformSettings
 from rosplc.config.transforms import DEFINITION, TYPE_NAME, topics_of
 from rosplc.config.yaml_source import Absent, Problems
 from rosplc.described import description_of
@@ -227,6 +227,8 @@ def _parameter_topics(
 
 def _store(config: Config, problems: Problems) -> TypeStore:
     store = TypeStore.bundled(config.settings.ros.distro)
+    if config.settings.time.plc:
+        store = store.with_definition(TIME_TYPE, TIME_TEXT)
     paths = {folder: index for index, folder in enumerate(config.type_folders)}
     while True:
         try:

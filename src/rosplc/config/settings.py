@@ -38,6 +38,9 @@ MOST_TASKS = 64  # tasks of the PLC; PLC code serves fewer
 MOST_PATHS = 256  # folders with messages, and addresses of Zenoh
 MOST_REMAPPINGS = 10_000  # names that are replaced
 
+TIME_TYPE = "rosplc/msg/RosTime"  # what the PLC's block for ROS time reads
+TIME_TEXT = "uint64 now\nuint32 transfer\nbool sim\n"  # both in ns; the most that a message took of late
+
 _TOPIC = r"(/[A-Za-z_][A-Za-z0-9_]*)+"
 
 
@@ -273,6 +276,16 @@ class RosoutSettings(_Section):
     )
     plc: bool = _f(False, "Whether the PLC's program can log there, with blocks `RosPlc_Log`.")
     task: TaskName | None = _f(None, "The PLC task that has these blocks. Without it the first of `tasks`.")
+
+
+class TimeSettings(_Section):
+    """ROS time in the PLC."""
+
+    plc: bool = _f(False, "Whether the PLC has it, in `ROS_Read.ros_time`, a block `RosPlc_Time`.")
+    use_sim_time: bool = _f(
+        False, "Whether `/clock` gives it, as `--ros-args -p use_sim_time:=true` says, too; else the system."
+    )
+    task: TaskName | None = _f(None, "The PLC task that has the block. Without it the first of `tasks`.")
 
 
 class RealtimeSettings(_Section):
@@ -651,6 +664,7 @@ class Settings(_Section):
     )
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
     rosout: RosoutSettings = _f({}, "Logs in ROS.")
+    time: TimeSettings = _f({}, "ROS time in the PLC.")
     realtime: RealtimeSettings = _f({}, "Real-time scheduling.")
     tasks: dict[TaskName, TaskSettings] = _f(
         {"RosTask": {}},
@@ -675,14 +689,25 @@ class Settings(_Section):
         {}, "Poses of frames for the PLC, by a name of your choice.", max_length=MOST_SERVICES
     )
 
-    @model_validator(mode="after")
-    def _own_topics(self) -> Settings:
+    @property
+    def own_topics(self) -> dict[str, TopicSettings]:
+        """Topics between the bridge itself and the PLC, which are among ``topics``, too."""
+        found = {}
         if self.rosout.plc:
-            if "/rosout" in self.topics:
-                raise ValueError("rosout.plc carries /rosout, which is also in topics; remove one of them")
             log = "rosgraph_msgs/msg/Log" if self.ros.distro == ROS1 else "rcl_interfaces/msg/Log"
             limits = {"string": 1, "sequence": 1, "msg": 200}  # the bridge fills in the other texts
-            self.topics["/rosout"] = TopicSettings(type=log, to="ros", task=self.rosout.task, limits=limits)
+            found["/rosout"] = TopicSettings(type=log, to="ros", task=self.rosout.task, limits=limits)
+        if self.time.plc:
+            found["/ros_time"] = TopicSettings(type=TIME_TYPE, to="plc", task=self.time.task)
+        return found
+
+    @model_validator(mode="after")
+    def _have_own_topics(self) -> Settings:
+        for name, entry in self.own_topics.items():
+            if name in self.topics:
+                what = {"/rosout": "rosout", "/ros_time": "time"}[name]
+                raise ValueError(f"{what}.plc carries {name}, which is also in topics; remove one of them")
+            self.topics[name] = entry
         return self
 
     @model_validator(mode="before")

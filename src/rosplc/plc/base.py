@@ -48,6 +48,7 @@ CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader"
 OWN_NAMES = {
     "log": ("RosPlc_LogWriter", "RosPlc_LogLevel", "RosPlc_Log"),
     "pose": ("RosPlc_Pose", "RosPlc_TransformError"),
+    "time": ("RosPlc_Time",),
 }
 """The objects of each topic of the bridge's own; the first is its instance's."""
 _OF_BRIDGES = (

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Literal
 
 from rosplc._version import __version__
 from rosplc.config.parameters import CURRENT, WANTED, ParametersPlan
@@ -473,7 +474,8 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
 
 def plc_topics(project: Project) -> list[PlcTopic]:
     """Return a configuration's topics as the PLC sees them."""
-    log = "/rosout" if project.config.settings.rosout.plc else ""
+    kinds: dict[str, Literal["log", "time"]] = {"/rosout": "log", "/ros_time": "time"}
+    of_settings = {name: kinds[name] for name in project.config.settings.own_topics}
     return [
         PlcTopic(
             topic=plan.topic,
@@ -487,7 +489,7 @@ def plc_topics(project: Project) -> list[PlcTopic]:
             in_order=plan.every,
             latched=plan.latched,
             classic=plan.classic,
-            own="pose" if plan.transform else "log" if plan.topic == log else "",
+            own="pose" if plan.transform else of_settings.get(plan.topic, ""),
             max_age_ns=plan.transform.max_age_ns if plan.transform else 0,
         )
         for plan in project.topics

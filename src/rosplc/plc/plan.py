@@ -46,8 +46,8 @@ class PlcTopic:
     in_order: bool = False  # take every message, not only the newest
     latched: bool = False  # take the state found at the start as a new message
     # a topic of the bridge's own, which has its own blocks: the log of the PLC's program (``rosout.plc``), a
-    # transform's pose
-    own: Literal["", "log", "pose"] = ""
+    # transform's pose, ROS time
+    own: Literal["", "log", "pose", "time"] = ""
     max_age_ns: int = 0  # of a pose: age from which it is not valid; 0: never
     # set for a topic in classic mode, without ``object_size`` and ``in_order``
     classic: ClassicPlan | None = None

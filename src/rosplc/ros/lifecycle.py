@@ -157,7 +157,7 @@ class LifecycleBackend(Opener):
         self,
         inner: Backend,
         check: Callable[[str], None] = lambda _: None,
-        always: Collection[str] = ("/diagnostics", "/rosout"),
+        always: Collection[str] = ("/clock", "/diagnostics", "/rosout"),
         latched: Collection[str] = (),
     ) -> None:
         self.name, self.capabilities, self.node = inner.name, inner.capabilities, inner.node
