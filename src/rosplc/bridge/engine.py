@@ -132,9 +132,11 @@ class Bridge:
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
-        inner = settings.own_topics
+        between = settings.own_topics
         own = {TF_MESSAGE for plan in self.project.topics if plan.transform}
-        of_ros = (p for p in self.project.topics if not (p.of_parameters or p.transform or p.topic in inner))
+        of_ros = (
+            p for p in self.project.topics if not (p.of_parameters or p.transform or p.topic in between)
+        )
         names = own | {plan.type_name for plan in of_ros}
         for plan in self.project.calls:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
