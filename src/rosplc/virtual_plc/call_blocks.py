@@ -20,10 +20,8 @@ from rosplc.ros.actions import GoalStatus
 from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Peer, Reader, ReaderClaim, SlotInfo, Writer
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
-from rosplc.virtual_plc.block import Block, _Instance
-from rosplc.virtual_plc.read_block import ReadBlock
+from rosplc.virtual_plc.block import Block, ReadBlock, WriteBlock, _Instance
 from rosplc.virtual_plc.task import Scan
-from rosplc.virtual_plc.write_block import WriteBlock
 
 _OUTCOMES = {
     spec.ANSWER_NOT_EXECUTED: ErrorNumber.NOT_EXECUTED,

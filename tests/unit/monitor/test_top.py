@@ -13,7 +13,7 @@ from textual import events
 
 from rosplc.monitor import Expected, Watch
 from rosplc.monitor.terminal import TopApp
-from rosplc.monitor.terminal.message import MessageScreen
+from rosplc.monitor.terminal.app import MessageScreen
 from rosplc.shm import Direction
 from tests.channels import Side, layout_of
 
