@@ -65,7 +65,7 @@ typedef struct {
 
 static const variable CLIENTS[] = {
     EITHER(CLIENT), CLIENT("xExecute", execute), CLIENT("xAbort", stop), CLIENT("xCancel", stop),
-    CLIENT("tTimeout", timeout_ms), CLIENT("xBusy", busy), CLIENT("xDone", done), CLIENT("xError", failed),
+    CLIENT("tTimeout", timeout_ms), CLIENT("tBridgeGrace", grace_ms), CLIENT("xBusy", busy), CLIENT("xDone", done), CLIENT("xError", failed),
     CLIENT("xAborted", aborted), CLIENT("xServer", server), CLIENT("eReason", reason), CLIENT("udiLate", late),
     CLIENT("xCancelRejected", cancel_rejected), CLIENT("xNewFeedback", new_feedback), CLIENT("eStatus", status),
     {NULL, 0}};

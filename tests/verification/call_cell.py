@@ -330,7 +330,7 @@ class VirtualMachine:
         if field:
             block, name = getattr(block, name), field[0]
         assert hasattr(block, name), path
-        setattr(block, name, value / 1000 if name == "tTimeout" else value)
+        setattr(block, name, value / 1000 if name in ("tTimeout", "tBridgeGrace") else value)
 
 
 class CUses:

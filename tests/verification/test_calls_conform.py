@@ -77,8 +77,9 @@ class Pair:
         elif kind in ANSWERS:
             limit = self.draw.choice((0, 0, 30, 200))
             if what == "limit":
+                pin = self.draw.choice(("tTimeout", "tBridgeGrace"))
                 for side in self.sides:
-                    side.set(tTimeout=limit)
+                    side.set(**{pin: limit})
             elif what == "read" and (taken := self.each("take"))[0]:
                 self.numbers = [one[1] for one in taken]
             elif what == "go on" and self.numbers:

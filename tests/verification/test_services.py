@@ -265,10 +265,11 @@ def test_silent_bridge(cell: CallCell) -> None:
     assert again.get("response.data") == 9
 
 
-def test_time_out_while_the_bridge_is_silent(cell: CallCell) -> None:
+@pytest.mark.parametrize("limit", [{"tTimeout": 3000}, {"tBridgeGrace": 300}], ids=str)
+def test_time_out_while_the_bridge_is_silent(cell: CallCell, limit: dict[str, int]) -> None:
     """The fate of a call is unknown then; it is withdrawn before the next one is sent."""
     server = connected(cell)
-    server.set(xExecute=True, tTimeout=3000)
+    server.set(xExecute=True, **limit)
     asked = cell.until(server.take)
     server.close()
     cell.until(lambda: server.get(*ENDS) == ERROR, beats=False)
@@ -278,11 +279,26 @@ def test_time_out_while_the_bridge_is_silent(cell: CallCell) -> None:
     assert withdrawn[:2] == (WITHDRAWN, asked[1])
     again.set(xExecute=False)
     cell.scan()
-    again.set(xExecute=True, tTimeout=0)
+    again.set(xExecute=True, **dict.fromkeys(limit, 0))
     asked = cell.until(again.take)
     assert asked[0] == CALL
     again.answer(asked[1])
     cell.until(lambda: again.get(*ENDS) == DONE)
+
+
+def test_only_silence_counts_as_such(cell: CallCell) -> None:
+    """A call may take longer than the bridge may be silent, and each silence counts by itself."""
+    server = connected(cell)
+    server.set(xExecute=True, tBridgeGrace=1000)
+    asked = cell.until(server.take)
+    cell.scan(200)
+    for _ in range(3):
+        cell.until(lambda: not server.get("xPeerAlive"), beats=False)
+        cell.scan(60, beats=False)
+        cell.until(lambda: server.get("xPeerAlive"))
+    assert server.get(*ENDS) == BUSY
+    server.answer(asked[1])
+    cell.until(lambda: server.get(*ENDS) == DONE)
 
 
 @pytest.mark.parametrize("begun", [False, True])

@@ -439,6 +439,7 @@ class _Caller(_CallBlock):
         xExecute: Input: a rising edge takes over what is asked, and calls. The end
             stands while it is set, for one scan at least.
         tTimeout: Input: seconds for the whole call; 0: no limit.
+        tBridgeGrace: Input: seconds that the bridge may be silent; 0: no limit.
         xBusy: The call is not over.
         xDone: The answer has come.
         xAborted: Ended as the program asked; ``eError`` tells what became of the call.
@@ -450,14 +451,15 @@ class _Caller(_CallBlock):
     _calls = True
     _stop: ClassVar[str]  # the input that asks for the end of the call
     xExecute = False
-    tTimeout = 0.0
+    tTimeout = tBridgeGrace = 0.0
     xBusy = xDone = xAborted = xServer = False
     eReason = Reason.NONE
     udiLate = 0
     _before = False
     _outcome: ErrorNumber | None = None
     _asked: Any = None  # what is asked, as it was when xExecute rose
-    _since_ns = _limit_ns = 0
+    _since_ns = _limit_ns = _grace_ns = 0
+    _silent_ns = 0  # since when the bridge is silent; 0: it is not
     _sent = False  # the call in hand has been sent; one that was given up may be open besides
     _stopped = False  # the program has asked for its end
     _caller: Caller | None = None
@@ -479,8 +481,11 @@ class _Caller(_CallBlock):
         alive = self._in.xPeerAlive and self._out.xPeerAlive
         self.xServer = alive and any(known)
         ready = alive and self._in.xReady and (self.xServer or None in known)
+        self._silent_ns = 0 if alive else self._silent_ns or scan.now_ns
         if self.xBusy:
             over = bool(self._limit_ns) and scan.now_ns - self._since_ns > self._limit_ns
+            if self._grace_ns and self._silent_ns:
+                over |= scan.now_ns - max(self._silent_ns, self._since_ns) > self._grace_ns
             if self._sent and self._caller is not None:
                 self._pursue(self._caller, over)
             else:
@@ -499,6 +504,7 @@ class _Caller(_CallBlock):
             layout = self._out.layout
             self._asked = layout and layout.view(bytes(layout.pack(self._out.msg)))
             self.xBusy, self._since_ns, self._limit_ns = True, scan.now_ns, round(self.tTimeout * 1e9)
+            self._grace_ns = round(self.tBridgeGrace * 1e9)
             self._sent = self._stopped = False
 
     def _hear(self) -> None:

@@ -724,6 +724,9 @@ int rosplc_plc_client_begin(rosplc_plc_client *c, uint32_t now_ms)
     c->before = c->execute;
     if (c->busy) {
         c->waited = c->waited + c->block.elapsed < c->waited ? 0xFFFFFFFFu : c->waited + c->block.elapsed;
+        c->silent = c->silent + c->block.elapsed < c->silent ? 0xFFFFFFFFu : c->silent + c->block.elapsed;
+        if (c->block.peer_alive)
+            c->silent = 0;
         return 0;
     }
     if (rose || !c->execute)
@@ -732,8 +735,9 @@ int rosplc_plc_client_begin(rosplc_plc_client *c, uint32_t now_ms)
         return 0;
     c->busy = 1;
     c->sent = c->giving_up = c->stopped = c->accepted = c->asked = c->cancel_rejected = 0;
-    c->status = c->waited = 0;
+    c->status = c->waited = c->silent = 0;
     c->limit = c->timeout_ms;
+    c->grace = c->grace_ms;
     return ROSPLC_PLC_REQUEST;
 }
 
@@ -832,6 +836,12 @@ static void lose(rosplc_plc_client *c)
                  ROSPLC_REASON_BRIDGE_RESTARTED, c->stopped);
 }
 
+/* Whether the call has taken too long, or the bridge is silent for too long. */
+static int is_over(const rosplc_plc_client *c)
+{
+    return (c->limit && c->waited > c->limit) || (c->grace && c->silent > c->grace && !c->block.peer_alive);
+}
+
 /* A call that has not been sent: sends it, or ends it. */
 static void open_call(rosplc_plc_client *c)
 {
@@ -840,7 +850,7 @@ static void open_call(rosplc_plc_client *c)
     c->opening = 0;
     if (c->stop) {
         conclude(c, ROSPLC_ERROR_NOT_EXECUTED, ROSPLC_REASON_NONE, 1);
-    } else if (c->limit && c->waited > c->limit) {
+    } else if (is_over(c)) {
         conclude(c, ROSPLC_ERROR_NOT_EXECUTED, ROSPLC_REASON_TIME_OUT, 0);
     } else if (c->block.attached && w->held && c->block.peer_alive && !c->send && !c->owed && (c->server || unknown)) {
         c->number += c->number == 0xFFFFFFFFu ? 2 : 1;
@@ -866,7 +876,7 @@ static void decide(rosplc_plc_client *c)
         lose(c);
     if (!c->busy || c->giving_up)
         return;
-    over = c->limit && c->waited > c->limit;
+    over = is_over(c);
     if (!c->sent) {
         open_call(c);
     } else if (over || (c->stop && !c->action)) {

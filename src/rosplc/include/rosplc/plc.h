@@ -105,6 +105,7 @@ typedef struct {
     /* Inputs. */
     int execute, stop;   /* stop: xAbort of a service, xCancel of an action */
     uint32_t timeout_ms; /* for the whole call; 0: no limit */
+    uint32_t grace_ms;   /* for the bridge to be silent; 0: no limit */
     /* Outputs, as those of the generated blocks. */
     int busy, done, failed, aborted, server, active, cancel_rejected, new_feedback;
     uint32_t reason, calls, late, status;
@@ -114,7 +115,7 @@ typedef struct {
     rosplc_plc_call mine, say;
     void *request;
     int action, running, before, send, opening, sent, giving_up, owed, stopped, accepted, asked;
-    uint32_t outcome, number, limit, waited, of_object, answer;
+    uint32_t outcome, number, limit, waited, grace, silent, of_object, answer;
 } rosplc_plc_client;
 
 /* What a program decides, in `steps`; each counts when it is added. A service has the first two. */

@@ -206,6 +206,7 @@ void rosplc_call_{{ name }}({{ name }} *data__)
     c->block.may_open = &rosplc_may_open;
     c->execute = __GET_VAR(data__->XEXECUTE);
     c->timeout_ms = rosplc_to_ms(__GET_VAR(data__->TTIMEOUT));
+    c->grace_ms = rosplc_to_ms(__GET_VAR(data__->TBRIDGEGRACE));
     c->stop = __GET_VAR(data__->{{ "XCANCEL" if action else "XABORT" }});
     rosplc_before_call(data__, now);
     if (rosplc_plc_client_begin(c, now))

@@ -273,6 +273,7 @@ template <class Request, class Response, class Feedback, class Block> void rospl
     c.block.may_open = &pace.may_open;
     c.execute = block->XEXECUTE.get();
     c.timeout_ms = to_ms(block->TTIMEOUT.get());
+    c.grace_ms = to_ms(block->TBRIDGEGRACE.get());
     if constexpr (action)
         c.stop = block->XCANCEL.get();
     else
