@@ -8,7 +8,15 @@ import sys
 
 import pytest
 
-from benchmarks import bench_bridge, bench_classic, bench_realtime, bench_services, bench_views, measure
+from benchmarks import (
+    bench_bridge,
+    bench_classic,
+    bench_realtime,
+    bench_services,
+    bench_transforms,
+    bench_views,
+    measure,
+)
 from generate_comparison import round_trips
 from rosplc.layout import Limits
 from tests.conformance.backends.registry import HARNESSES
@@ -154,3 +162,10 @@ def test_the_views_benchmark() -> None:
         assert f"beside {name}" in found["2 topics x 100 Hz: PLC → bridge → DDS"]
     recording = report["tables"][-1]
     assert recording["facts"]["losses that were not counted"] == 0
+
+
+def test_the_transforms_benchmark() -> None:
+    """Every frame is received, and the lookups find a pose."""
+    (table,) = rows(bench_transforms.run(2)).values()
+    assert table[bench_transforms.POSE]["count"] == 20
+    assert all(row["median"] > 0 for row in table.values())
