@@ -99,7 +99,7 @@ class Robot:
 def run(rounds: int) -> dict[str, Any]:
     """Return the costs of each, and what they are of a core at 100 Hz."""
     before, robot = measure.environment(), Robot()
-    robot.transforms.join(robot, robot.codec)  # type: ignore[arg-type]
+    robot.transforms.join(robot, robot, robot.codec)  # type: ignore[arg-type]
     for _ in range(3):
         robot.received(FRAMES)
     values = measure.turns(
@@ -111,7 +111,7 @@ def run(rounds: int) -> dict[str, Any]:
         },
         rounds,
     )
-    robot.transforms.leave()
+    robot.transforms.leave(robot)
     robot.backend.close()
     rows = [measure.row(name, [ns / 1000 for ns in values[name]]) for name in (ONE, EACH, ROSBAGS, POSE)]
     median = {each["name"]: each["median"] for each in rows}

@@ -44,7 +44,7 @@ def test_static_transforms_of_several_nodes_from_before(graph: Harness, shm_name
     node = graph.node_class(graph.opening("bridge"))
     transforms = Transforms(Context(shm_namespace, "bridge", bytes(16), store.distro))
     try:
-        transforms.join(node.backend, codec)
+        transforms.join(node, node.backend, codec)
         wait_for(lambda: transforms.buffer.lookup("wrist", "tool").error == TransformError.NONE)
         wait_for(lambda: transforms.buffer.lookup("map", "base").static)
         assert transforms.buffer.lookup("map", "tool").error == TransformError.NOT_CONNECTED
@@ -56,7 +56,7 @@ def test_static_transforms_of_several_nodes_from_before(graph: Harness, shm_name
         assert (found.stamp_ns, found.frame, found.static, found.pose[0]) == (7 * 10**9, "wrist", False, 4.0)
         status = wait_for(transforms.status)
         assert (status.topic, status.matched) == ("/tf", 4)
-        transforms.leave()
+        transforms.leave(node)
         assert transforms.status() is None
     finally:
         node.end()

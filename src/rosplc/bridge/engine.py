@@ -133,11 +133,8 @@ class Bridge:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
         between = settings.own_topics
-        own = {TF_MESSAGE for plan in self.project.topics if plan.transform}
-        of_ros = (
-            p for p in self.project.topics if not (p.of_parameters or p.transform or p.topic in between)
-        )
-        names = own | {plan.type_name for plan in of_ros}
+        topics = [p for p in self.project.topics if not (p.of_parameters or p.topic in between)]
+        names = {TF_MESSAGE if p.transform else p.type_name for p in topics}
         for plan in self.project.calls:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
         check_types(self.backend, names)

@@ -1,26 +1,25 @@
-"""Transforms for the PLC: what ROS nodes publish on /tf and /tf_static, as a pose for each configured entry.
-
-A pose is what tf2's BufferCore returns for the latest common time: interpolated, never extrapolated.
-"""
+"""Transforms of /tf and /tf_static: poses as tf2's BufferCore has them for the latest common time."""
 
 from __future__ import annotations
 
 import math
+import sys
 import threading
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
+from struct import Struct
 from typing import Any, NamedTuple, TypeAlias
 
 from rosplc.bridge import hold
 from rosplc.bridge.port import Context
 from rosplc.bridge.stream import ToPlc
-from rosplc.codec import Codec
+from rosplc.codec import Codec, Wire
 from rosplc.config.resolve import TopicPlan
 from rosplc.config.transforms import FRAME_BYTES, TF_MESSAGE, TransformError
-from rosplc.layout import Limits, compute_layout
+from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.ros import Backend, EndpointStatus, Qos, Subscription
 
 KEEP_NS = 10_000_000_000  # how far the buffer reaches back, as tf2's by default
@@ -29,10 +28,7 @@ _QOS = {
     "/tf_static": Qos(durability="transient_local", depth=1000),  # each publisher keeps its own
 }
 _MOST = 4096  # transforms in a message
-_LEAST_BYTES = 72  # of a transform in a message
 _LONGEST_FRAME = 255
-_NOT_UNIT = 0.01  # how far a rotation's squared length may be from 1, as in tf2
-_LARGEST = 2**32 - 1
 
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
 """Translation x, y, z in m, then rotation as quaternion x, y, z, w: a child frame in its parent."""
@@ -88,42 +84,40 @@ class Found(NamedTuple):
 class Buffer:
     """The transforms of the last seconds; from any thread."""
 
-    def __init__(self, keep_ns: int = KEEP_NS) -> None:
-        self._keep_ns = keep_ns
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._links: dict[str, list[_Link]] = {}  # by child, the oldest first; of a static one the newest
         self._static: set[str] = set()
         self._parents: set[str] = set()
 
     def put(self, child: str, parent: str, stamp_ns: int, pose: Pose, *, static: bool = False) -> str:
-        """Take a transform; return why it is ignored, or an empty text.
-
-        As in tf2 the first of two with the same stamp counts, silently.
-        """
-        x, y, z, *rotation = pose
-        square = sum(q * q for q in rotation)
+        """Take a transform; return why it is ignored. Of two with one stamp the first counts, as in tf2."""
+        x, y, z, qx, qy, qz, qw = pose
+        square = qx * qx + qy * qy + qz * qz + qw * qw
         if not child or not parent or child == parent:
             return "it needs two frames"
-        if not all(map(math.isfinite, pose)) or abs(square - 1) > _NOT_UNIT:
+        if not (abs(square - 1) <= 0.01 and math.isfinite(x + y + z)):
             return f"{pose} is no translation and unit quaternion"
-        qx, qy, qz, qw = (q / math.sqrt(square) for q in rotation)
+        scale = 1 / math.sqrt(square)
+        link = stamp_ns, parent, (x, y, z, qx * scale, qy * scale, qz * scale, qw * scale)
         with self._lock:
             self._parents.add(parent)
             links = self._links.setdefault(child, [])
             if static is not (child in self._static):
                 links.clear()
                 (self._static.add if static else self._static.discard)(child)
-            link = stamp_ns, parent, (x, y, z, qx, qy, qz, qw)
             if static:
                 links[:] = [link]
-            elif links and stamp_ns < links[-1][0] - self._keep_ns:
+            elif not links or stamp_ns > links[-1][0]:
+                links.append(link)
+                while links[0][0] < stamp_ns - KEEP_NS:
+                    del links[0]
+            elif stamp_ns < links[-1][0] - KEEP_NS:
                 return f"it is {(links[-1][0] - stamp_ns) / 1e9:.0f} s older than the newest"
             else:
                 at = bisect_right(links, stamp_ns, key=_STAMP)
                 if not at or links[at - 1][0] != stamp_ns:
                     links.insert(at, link)
-                while links[0][0] < links[-1][0] - self._keep_ns:
-                    del links[0]
         return ""
 
     def lookup(self, target: str, source: str) -> Found:
@@ -149,8 +143,9 @@ class Buffer:
                 unknown = next((frame for frame in ends if frame in self._links), None)
                 kind = TransformError.NOT_CONNECTED if unknown is None else TransformError.NO_COMMON_TIME
                 return Found(kind, unknown or ends[0])
-            pose = compose(inverse(below[top]), above[top])
-            return Found(TransformError.NONE, oldest, time, not moving, pose)
+            return Found(
+                TransformError.NONE, oldest, time, not moving, compose(inverse(below[top]), above[top])
+            )
 
     def _walk(self, frame: str, time_ns: int | None) -> Iterator[tuple[str, Pose]]:
         """Yield a frame and its ancestors, each once, with the frame's pose in it; None: the newest links."""
@@ -178,6 +173,28 @@ class Buffer:
         return time_ns, parent, before
 
 
+def _frame(name: bytes) -> str:
+    return name.rstrip(b"\0").decode(errors="replace").removeprefix("/")
+
+
+def _reader(like: Layout, wire: Wire, room: int) -> Callable[[bytes], Iterator[tuple[Any, ...]]]:
+    """Return what yields stamp, parent, child and pose of the transforms in a message, ``room`` at most."""
+    layout = compute_layout(like.store, TF_MESSAGE, Limits(_LONGEST_FRAME, room, {}))
+    fields = {path.removeprefix("transforms[]."): offset for path, offset, _ in layout.fields()}
+    first, pose = fields["header.stamp.sec"], fields["transform.translation.x"]
+    head = f"=iI{_LONGEST_FRAME + 1}s{_LONGEST_FRAME + 1}s"
+    one, codec = Struct(f"{head}{pose - first - Struct(head).size}x7d"), Codec(layout, wire)
+    stride = (layout.size - fields["transforms"]) // room
+
+    def read(data: bytes) -> Iterator[tuple[Any, ...]]:
+        record = codec.decode(data)
+        for at in range(first, first + stride * int.from_bytes(record[:4], sys.byteorder), stride):
+            seconds, nanoseconds, parent, child, *numbers = one.unpack_from(record, at)
+            yield seconds * 10**9 + nanoseconds, _frame(parent), _frame(child), tuple(numbers)
+
+    return read
+
+
 class Transforms:
     """What a bridge receives of transforms, for as long as an entry uses it; from any thread."""
 
@@ -185,38 +202,32 @@ class Transforms:
         self.buffer = Buffer()
         self._context = context
         self._lock = threading.Lock()  # of the users and their subscriptions
-        self._users = 0
+        self._users: set[object] = set()
         self._subscriptions: list[Subscription] = []
 
-    def join(self, backend: Backend, like: Codec) -> None:
+    def join(self, user: object, backend: Backend, like: Codec) -> None:
         """Subscribe, for the first user, on the wire of a codec; raises as the backend does."""
         with self._lock:
-            self._users += 1
-            codecs: dict[int, Codec] = {}
-            for topic, qos in _QOS.items() if self._users == 1 else ():
-                receive = partial(self._receive, topic, like, codecs)
+            self._users.add(user)
+            readers: dict[int, Any] = {}
+            for topic, qos in _QOS.items() if not self._subscriptions else ():
+                receive = partial(self._receive, topic, like, readers)
                 self._subscriptions.append(backend.subscribe(topic, TF_MESSAGE, qos, receive))
 
-    def leave(self) -> None:
-        """Unsubscribe, after the last user."""
+    def leave(self, user: object) -> None:
+        """Unsubscribe, after the last user; harmless twice."""
         with self._lock:
-            self._users -= 1
+            self._users.discard(user)
             while self._subscriptions and not self._users:
                 self._subscriptions.pop().close()
                 self.buffer = Buffer()
 
-    def _receive(self, topic: str, like: Codec, codecs: dict[int, Codec], data: bytes, _: int) -> None:
-        # Messages of each size have a codec with just enough room.
-        room = min(_MOST, 1 << (len(data) // _LEAST_BYTES).bit_length())
-        if (codec := codecs.get(room)) is None:
-            layout = compute_layout(like.layout.store, TF_MESSAGE, Limits(_LONGEST_FRAME, room, {}))
-            codec = codecs[room] = Codec(layout, like.wire)
-        for each in codec.layout.view(codec.decode(data)).transforms:
-            stamp, position, turn = each.header.stamp, each.transform.translation, each.transform.rotation
-            pose = position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w
-            child, parent = (name.removeprefix("/") for name in (each.child_frame_id, each.header.frame_id))
-            stamp_ns, static = stamp.sec * 10**9 + stamp.nanosec, topic == "/tf_static"
-            if ignored := self.buffer.put(child, parent, stamp_ns, pose, static=static):
+    def _receive(self, topic: str, like: Codec, readers: dict[int, Any], data: bytes, _: int) -> None:
+        # Messages of each size have a codec with just enough room; no transform has less than 72 bytes.
+        room = min(_MOST, 1 << (len(data) // 72).bit_length())
+        read = readers.get(room) or readers.setdefault(room, _reader(like.layout, like.wire, room))
+        for stamp_ns, parent, child, pose in read(data):
+            if ignored := self.buffer.put(child, parent, stamp_ns, pose, static=topic == "/tf_static"):
                 words = f"{topic}: {child!r} in {parent!r} is ignored: {ignored}"
                 self._context.warnings.warn((topic, child), self._context.clock.monotonic_ns(), words)
 
@@ -233,18 +244,15 @@ class TransformToPlc(ToPlc):
     def __init__(self, transforms: Transforms, plan: TopicPlan, *arguments: Any) -> None:
         super().__init__(plan, *arguments)
         assert plan.transform is not None
-        self._wanted, self._transforms, self._joined = plan.transform, transforms, False
+        self._wanted, self._transforms = plan.transform, transforms
         self.hold.stages.append(hold.Samples(self._now(), plan.transform.rate_ns, self._sample))
 
     def _connect(self, backend: Backend) -> None:
-        self._joined = True
-        self._transforms.join(backend, self.codec)
+        self._transforms.join(self, backend, self.codec)
 
     def disconnect(self) -> None:
         """Leave the subscriptions to the others; harmless twice."""
-        if self._joined:
-            self._joined = False
-            self._transforms.leave()
+        self._transforms.leave(self)
 
     def endpoint(self) -> EndpointStatus | None:
         """Return the state of the subscriptions."""
@@ -253,19 +261,15 @@ class TransformToPlc(ToPlc):
     def _sample(self, now_ns: int) -> hold.Item:
         wanted = self._wanted
         found = self._transforms.buffer.lookup(wanted.target, wanted.source)
-        age, error = 0, found.error
-        if found.stamp_ns:
-            age = max(0, self.context.clock.time_ns() - found.stamp_ns)
-            if wanted.max_age_ns and age > wanted.max_age_ns:
-                error = TransformError.TOO_OLD
+        age = max(0, self.context.clock.time_ns() - found.stamp_ns) if found.stamp_ns else 0
+        error = TransformError.TOO_OLD if 0 < wanted.max_age_ns < age else found.error
         if error:
             why = f"{error.name.lower().replace('_', ' ')}: {found.frame}"
             self.note(now_ns, f"{wanted.source} in {wanted.target}: {why}", "ROS023")
-        x, y, z, qx, qy, qz, qw = found.pose
-        rotation = {"x": qx, "y": qy, "z": qz, "w": qw}
+        parts = {"translation": ("xyz", found.pose[:3]), "rotation": ("xyzw", found.pose[3:])}
         value = {
-            "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": rotation},
-            "age_ms": min(age // 1_000_000, _LARGEST),
+            "transform": {name: dict(zip(*part, strict=True)) for name, part in parts.items()},
+            "age_ms": min(age // 1_000_000, 2**32 - 1),
             "error": error,
             "is_static": found.static,
             "frame": found.frame.encode()[:FRAME_BYTES].decode(errors="ignore"),
