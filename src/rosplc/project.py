@@ -26,15 +26,7 @@ from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, compute_layout
 from rosplc.layout.nodes import SequenceNode, StringNode
 from rosplc.model import TypeStore
-from rosplc.plc.build import (
-    ACTION_GVL,
-    READ_GVL,
-    SERVICE_GVL,
-    WRITE_GVL,
-    build_type_library,
-    plc_project,
-    use_names,
-)
+from rosplc.plc import build
 from rosplc.plc.delivery import Delivery, project_files, write_files
 from rosplc.plc.names import instance_names
 from rosplc.plc.openplc import openplc_files, openplc_types
@@ -93,7 +85,7 @@ def chosen_backend(project: Project) -> Choice | RosplcError:
 def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
     """Return instance and block of each topic and call in the generated code, or why there is none."""
     try:
-        made = plc_project(project, ProjectOptions())
+        made = build.plc_project(project, ProjectOptions())
     except GenerationError as error:
         return error
     blocks = {
@@ -103,12 +95,12 @@ def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
         for variable in block.variables
     }
     found = {}
-    for gvl, direction in ((READ_GVL, 1), (WRITE_GVL, 2)):
+    for gvl, direction in ((build.READ_GVL, 1), (build.WRITE_GVL, 2)):
         topics = [plan.topic for plan in project.topics if plan.direction == direction]
         for topic, instance in instance_names(topics).items():
             found[topic] = f"{gvl}.{instance}", blocks[gvl, instance]
-    for gvl in (SERVICE_GVL, ACTION_GVL):
-        for (_, plan), instance in use_names(gvl, project.calls):
+    for gvl in (build.SERVICE_GVL, build.ACTION_GVL):
+        for (_, plan), instance in build.use_names(gvl, project.calls):
             found[plan.name] = f"{gvl}.{instance}", blocks[gvl, instance]
     return found
 
@@ -145,7 +137,7 @@ def generate(
     if plc != "codesys":
         return _write(*openplc_files(project, plc), folder, force)
     options = _options(target, fences, programs or project.config.settings.programs, pins)
-    made = plc_project(project, options)
+    made = build.plc_project(project, options)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
     layouts = [plan.layout for plan in topics]
     layouts += [layout for plan in project.calls for layout in plan.layouts]
@@ -169,7 +161,7 @@ def generate_types(
     store = TypeStore.bundled(distro)
     layouts = [compute_layout(store, name) for name in store.names()]
     options = _options(target, fences, programs, pins)
-    return _deliver(build_type_library(store, layouts, options), layouts, folder, force=force)
+    return _deliver(build.build_type_library(store, layouts, options), layouts, folder, force=force)
 
 
 def _options(target: Literal["x86", "arm"] | None, fences: bool, programs: str, pins: bool) -> ProjectOptions:
@@ -187,7 +179,7 @@ def _write(files: dict[str, bytes], notes: tuple[str, ...], folder: Path | str, 
 
 def expected_files(project: Project, options: ProjectOptions) -> Mapping[str, bytes]:
     """Return what would be generated for a project: path below the folder → content."""
-    return project_files(plc_project(project, options), [], "rosplc")
+    return project_files(build.plc_project(project, options), [], "rosplc")
 
 
 def access(project: Project) -> dict[str, Any]:

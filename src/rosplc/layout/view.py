@@ -7,16 +7,7 @@ import struct
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn, TypeAlias
 
-from rosplc.layout.nodes import (
-    ArrayNode,
-    Member,
-    Node,
-    PaddingNode,
-    ScalarNode,
-    SequenceNode,
-    StringNode,
-    StructNode,
-)
+from rosplc.layout import nodes
 from rosplc.model.types import FORMATS
 
 _Read: TypeAlias = "Callable[[memoryview, int], Any]"
@@ -35,12 +26,12 @@ class Excerpt(list[Any]):
 class StructReader:
     """How to read each field, made once per layout; arrays above ``most`` become an :class:`Excerpt`."""
 
-    def __init__(self, node: StructNode, most: int | None = None) -> None:
+    def __init__(self, node: nodes.StructNode, most: int | None = None) -> None:
         self.type_name = node.type_name
         self.fields: dict[str, tuple[int, _Read]] = {
             member.name: (member.offset, _reader(member, node, most))
             for member in node.members
-            if not isinstance(member.node, PaddingNode) and member.count_of is None
+            if not isinstance(member.node, nodes.PaddingNode) and member.count_of is None
         }
         # A field may be a Python keyword: it can be had with an underscore, as rosbags does.
         self.aliases = {f"{name}_": name for name in self.fields if keyword.iskeyword(name)}
@@ -135,24 +126,24 @@ def _show(value: Any) -> str:
     return repr(value)
 
 
-def _reader(member: Member, parent: StructNode, most: int | None) -> _Read:
+def _reader(member: nodes.Member, parent: nodes.StructNode, most: int | None) -> _Read:
     node = member.node
-    if not isinstance(node, ArrayNode | SequenceNode):
+    if not isinstance(node, nodes.ArrayNode | nodes.SequenceNode):
         return _single(node, most)
     read, capacity = _elements(node.element, most), node.capacity
-    if isinstance(node, ArrayNode):
+    if isinstance(node, nodes.ArrayNode):
         return lambda buffer, offset: read(buffer, offset, capacity)
     count = next(m.offset for m in parent.members if m.count_of == member.name) - member.offset
     get = _COUNT.unpack_from
     return lambda buffer, offset: read(buffer, offset, min(get(buffer, offset + count)[0], capacity))
 
 
-def _single(node: Node, most: int | None) -> _Read:
-    if isinstance(node, StructNode):
+def _single(node: nodes.Node, most: int | None) -> _Read:
+    if isinstance(node, nodes.StructNode):
         return StructReader(node, most)
-    if isinstance(node, StringNode):
+    if isinstance(node, nodes.StringNode):
         return _string(node.capacity)
-    assert isinstance(node, ScalarNode)
+    assert isinstance(node, nodes.ScalarNode)
     if node.kind == "bool":
         return lambda buffer, offset: buffer[offset] != 0
     unpack_from = struct.Struct("<" + FORMATS[node.kind]).unpack_from
@@ -168,9 +159,9 @@ def _string(capacity: int) -> _Read:
 
 
 def _elements(
-    node: ScalarNode | StringNode | StructNode, most: int | None
+    node: nodes.ScalarNode | nodes.StringNode | nodes.StructNode, most: int | None
 ) -> Callable[[memoryview, int, int], list[Any]]:
-    if isinstance(node, ScalarNode) and node.kind != "bool":
+    if isinstance(node, nodes.ScalarNode) and node.kind != "bool":
         code = FORMATS[node.kind]
 
         def read(buffer: memoryview, offset: int, size: int) -> list[Any]:

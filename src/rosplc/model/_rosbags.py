@@ -15,18 +15,7 @@ from rosbags.typesys.base import BaseType, Cardinality
 from rosbags.typesys.msg import MSGParser, normalize_type_ref
 from rosbags.typesys.peg import Failure
 
-from rosplc.model.types import (
-    ROS1_BYTE,
-    ArrayType,
-    Constant,
-    Field,
-    FieldType,
-    MessageType,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-)
+from rosplc.model import types
 
 _STORES = {
     "humble": Stores.ROS2_HUMBLE,
@@ -43,14 +32,14 @@ DISTROS: tuple[str, ...] = ("humble", "jazzy", "kilted", "lyrical", "noetic")
 EMPTY_MEMBER = "structure_needs_at_least_one_member"
 
 
-def bundled_types(distro: str) -> dict[str, MessageType]:
+def bundled_types(distro: str) -> dict[str, types.MessageType]:
     """Return every type that rosbags bundles for one of :data:`DISTROS`, without default values."""
     definitions: dict[str, Any] = get_typestore(_STORES[distro]).fielddefs
     ros1 = distro == "noetic"
     return {name: _message(name, *definition, ros1=ros1) for name, definition in definitions.items()}
 
 
-def parse_field_type(text: str, package: str, *, ros1: bool = False) -> tuple[FieldType, bool] | None:
+def parse_field_type(text: str, package: str, *, ros1: bool = False) -> tuple[types.FieldType, bool] | None:
     """Read the type part of a ``.msg`` line, such as ``geometry_msgs/Point[<=4]``.
 
     An unqualified ``Header`` is std_msgs' one; another name without a package is that of ``package``. In
@@ -62,7 +51,7 @@ def parse_field_type(text: str, package: str, *, ros1: bool = False) -> tuple[Fi
     if isinstance(found, Failure) or found.pos != len(text):
         return None
     parsed = normalize_type_ref(f"{package}/msg/_", found.value)
-    element: PrimitiveType | StringType | NamedType
+    element: types.PrimitiveType | types.StringType | types.NamedType
     valid = True
     if isinstance(parsed.ref, BaseType):
         name = parsed.ref.name.value
@@ -71,43 +60,45 @@ def parse_field_type(text: str, package: str, *, ros1: bool = False) -> tuple[Fi
         element = _element(Nodetype.BASE, (name, parsed.str_size), ros1)
     else:
         # rosbags knows no `package/srv/Name_Request`, which a service's event has.
-        element = NamedType(parsed.ref.name.replace("/srv/msg/", "/srv/"))
+        element = types.NamedType(parsed.ref.name.replace("/srv/msg/", "/srv/"))
     if parsed.cardinality is Cardinality.SCALAR:
         return element, valid
     unbounded = text.endswith("[]")
     valid = valid and (unbounded or 0 < parsed.size < 1 << 32)
     if parsed.cardinality is Cardinality.ARRAY:
-        return ArrayType(element, parsed.size), valid
-    return SequenceType(element, None if unbounded else parsed.size), valid
+        return types.ArrayType(element, parsed.size), valid
+    return types.SequenceType(element, None if unbounded else parsed.size), valid
 
 
-def _message(name: str, constants: list[Any], fields: list[Any], *, ros1: bool) -> MessageType:
-    return MessageType(
+def _message(name: str, constants: list[Any], fields: list[Any], *, ros1: bool) -> types.MessageType:
+    return types.MessageType(
         name,
         tuple(
-            Field(n, _field_type(d[0], d[1], ros1)) for n, d in fields if n != EMPTY_MEMBER or len(fields) > 1
+            types.Field(n, _field_type(d[0], d[1], ros1))
+            for n, d in fields
+            if n != EMPTY_MEMBER or len(fields) > 1
         ),
         tuple(
-            Constant(name, _element(Nodetype.BASE, (kind, 0), ros1), value, str(value))  # type: ignore[arg-type]
+            types.Constant(name, _element(Nodetype.BASE, (kind, 0), ros1), value, str(value))  # type: ignore[arg-type]
             for name, kind, value in constants
         ),
     )
 
 
-def _field_type(kind: int, detail: Any, ros1: bool) -> FieldType:
+def _field_type(kind: int, detail: Any, ros1: bool) -> types.FieldType:
     if kind == Nodetype.ARRAY:
         (inner_kind, inner), length = detail
-        return ArrayType(_element(inner_kind, inner, ros1), length)
+        return types.ArrayType(_element(inner_kind, inner, ros1), length)
     if kind == Nodetype.SEQUENCE:
         (inner_kind, inner), bound = detail
-        return SequenceType(_element(inner_kind, inner, ros1), bound or None)
+        return types.SequenceType(_element(inner_kind, inner, ros1), bound or None)
     return _element(kind, detail, ros1)
 
 
-def _element(kind: int, detail: Any, ros1: bool) -> PrimitiveType | StringType | NamedType:
+def _element(kind: int, detail: Any, ros1: bool) -> types.PrimitiveType | types.StringType | types.NamedType:
     if kind == Nodetype.NAME:
-        return NamedType(detail)
+        return types.NamedType(detail)
     name, bound = detail
     if name == "string":
-        return StringType(bound or None)
-    return ROS1_BYTE if ros1 and name == "byte" else PrimitiveType(name)
+        return types.StringType(bound or None)
+    return types.ROS1_BYTE if ros1 and name == "byte" else types.PrimitiveType(name)

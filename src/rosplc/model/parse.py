@@ -16,19 +16,8 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from rosplc.errors import MessageTypeError
+from rosplc.model import types
 from rosplc.model._rosbags import parse_field_type
-from rosplc.model.types import (
-    ArrayType,
-    Constant,
-    Field,
-    FieldType,
-    MessageType,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-    Value,
-)
 
 # Integer primitive → smallest and largest value.
 INTEGER_RANGES: dict[str, tuple[int, int]] = {
@@ -69,25 +58,25 @@ def strip_comment(text: str) -> str:
     return text.strip()
 
 
-def parse_value(text: str, kind: FieldType) -> Value:
+def parse_value(text: str, kind: types.FieldType) -> types.Value:
     """Read the literal of a default value or constant, without a comment; LiteralError if it does not fit."""
-    if isinstance(kind, NamedType):
+    if isinstance(kind, types.NamedType):
         raise LiteralError(f"a field of type {kind} cannot have a default value")
-    if not isinstance(kind, ArrayType | SequenceType):
+    if not isinstance(kind, types.ArrayType | types.SequenceType):
         return _parse_scalar(text, kind)
     if not (text.startswith("[") and text.endswith("]")):
         raise LiteralError(f"{_cut(text)} is no array literal such as [1, 2]")
-    if isinstance(kind.element, NamedType):
+    if isinstance(kind.element, types.NamedType):
         raise LiteralError(f"a field of type {kind} cannot have a default value")
     items = tuple(_parse_scalar(item, kind.element) for item in _split(text[1:-1]))
-    if isinstance(kind, ArrayType) and len(items) != kind.length:
+    if isinstance(kind, types.ArrayType) and len(items) != kind.length:
         raise LiteralError(f"{len(items)} values for an array of {kind.length}")
-    if isinstance(kind, SequenceType) and kind.bound is not None and len(items) > kind.bound:
+    if isinstance(kind, types.SequenceType) and kind.bound is not None and len(items) > kind.bound:
         raise LiteralError(f"{len(items)} values for a sequence of at most {kind.bound}")
     return items
 
 
-def format_value(value: Value) -> str:
+def format_value(value: types.Value) -> str:
     """Return the literal that :func:`parse_value` reads back as ``value``."""
     if isinstance(value, tuple):
         return "[" + ", ".join(format_value(item) for item in value) + "]"
@@ -99,8 +88,8 @@ def format_value(value: Value) -> str:
     return repr(value)
 
 
-def _parse_scalar(text: str, kind: PrimitiveType | StringType) -> bool | int | float | str:
-    if isinstance(kind, StringType):
+def _parse_scalar(text: str, kind: types.PrimitiveType | types.StringType) -> bool | int | float | str:
+    if isinstance(kind, types.StringType):
         return _parse_string(text, kind)
     if kind.name == "bool":
         truth = {"true": True, "1": True, "false": False, "0": False}.get(text.lower())
@@ -138,7 +127,7 @@ def _parse_float(text: str, name: str) -> float:
     return value
 
 
-def _parse_string(text: str, kind: StringType) -> str:
+def _parse_string(text: str, kind: types.StringType) -> str:
     quoted = _QUOTED.match(text)
     if quoted and quoted.end() == len(text):
         inner = quoted.group(1) if quoted.group(1) is not None else quoted.group(2)
@@ -182,7 +171,7 @@ _UNSUPPORTED = re.compile(r"(wstring|wchar|float128|long\s+double)\b(?!/)")
 class ParsedType:
     """One definition of a text, with the places that later errors name."""
 
-    message: MessageType
+    message: types.MessageType
     where: str
     field_lines: tuple[str, ...]
 
@@ -198,7 +187,7 @@ def full_name(name: str, kind: str = "msg") -> str:
     return f"{found[1]}/{found[2] or kind}/{found[3]}"
 
 
-def check_names(message: MessageType) -> None:
+def check_names(message: types.MessageType) -> None:
     """Check the names of a type that was not parsed: they become identifiers of generated code.
 
     Raises MessageTypeError TYP001 for the type's name, TYP002 for a field's or constant's.
@@ -206,7 +195,7 @@ def check_names(message: MessageType) -> None:
     if full_name(message.name) != message.name:
         raise MessageTypeError("TYP001", f"{message.name!r} is no full name such as geometry_msgs/msg/Twist")
     seen: set[str] = set()
-    items: list[Field | Constant] = [*message.fields, *message.constants]
+    items: list[types.Field | types.Constant] = [*message.fields, *message.constants]
     for item in items:
         if not _NAME.match(item.name) or len(item.name) > MAX_NAME or item.name in seen:
             what = "is defined twice" if item.name in seen else "is no name of a field or constant"
@@ -275,8 +264,8 @@ def _sections(name: str, text: str, where: str) -> Iterator[tuple[str, str, list
 def _parse_section(
     name: str, place: str, lines: list[tuple[int, str]], where: str, ros_version: int, budget: int
 ) -> ParsedType:
-    fields: list[Field] = []
-    constants: list[Constant] = []
+    fields: list[types.Field] = []
+    constants: list[types.Constant] = []
     places: list[str] = []
     names: set[str] = set()
     for number, raw in lines:
@@ -294,15 +283,15 @@ def _parse_section(
         names.add(item.name)
         if len(names) > budget:
             raise MessageTypeError("TYP007", f"more than {MAX_FIELDS} fields", where=f"{where}:{number}")
-        if isinstance(item, Constant):
+        if isinstance(item, types.Constant):
             constants.append(item)
         else:
             fields.append(item)
             places.append(f"{where}:{number}")
-    return ParsedType(MessageType(name, tuple(fields), tuple(constants)), place, tuple(places))
+    return ParsedType(types.MessageType(name, tuple(fields), tuple(constants)), place, tuple(places))
 
 
-def _parse_line(line: str, package: str, ros_version: int) -> Field | Constant:
+def _parse_line(line: str, package: str, ros_version: int) -> types.Field | types.Constant:
     parts = _LINE.match(line)
     if not parts:
         raise LiteralError(f"{line[:80]!r} is neither `type name` nor `type NAME=value`")
@@ -317,19 +306,19 @@ def _parse_line(line: str, package: str, ros_version: int) -> Field | Constant:
     if rest.startswith("="):
         return _parse_constant(name, kind, rest[1:], ros_version)
     literal = strip_comment(rest)
-    return Field(name, kind, parse_value(literal, kind) if literal else None)
+    return types.Field(name, kind, parse_value(literal, kind) if literal else None)
 
 
-def _parse_constant(name: str, kind: FieldType, text: str, ros_version: int) -> Constant:
-    if not isinstance(kind, PrimitiveType | StringType):
+def _parse_constant(name: str, kind: types.FieldType, text: str, ros_version: int) -> types.Constant:
+    if not isinstance(kind, types.PrimitiveType | types.StringType):
         raise LiteralError(f"a constant cannot have the type {kind}")
-    if isinstance(kind, StringType) and ros_version == 1:
+    if isinstance(kind, types.StringType) and ros_version == 1:
         literal = text.strip()  # no comments and no quotes there: http://wiki.ros.org/msg
-        return Constant(name, kind, literal, literal)
+        return types.Constant(name, kind, literal, literal)
     literal = strip_comment(text)
     value = parse_value(literal, kind)
     assert not isinstance(value, tuple)
-    return Constant(name, kind, value, literal)
+    return types.Constant(name, kind, value, literal)
 
 
 def _syntax(what: str, where: str, number: int) -> MessageTypeError:

@@ -17,19 +17,8 @@ from rosplc.config.transforms import TransformError
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
+from rosplc.plc import project
 from rosplc.plc.names import string_literal
-from rosplc.plc.project import (
-    Dut,
-    Enumeration,
-    Gvl,
-    Item,
-    Method,
-    Pou,
-    PouKind,
-    VarBlock,
-    VarBlockKind,
-    Variable,
-)
 from rosplc.plc.types import DutBuilder
 from rosplc.shm import constants
 
@@ -89,39 +78,43 @@ def render(template: str, **values: Any) -> str:
     return _environment().get_template(template).render(**_COMMON, **values)
 
 
-def base_objects(folder: str) -> tuple[Item, ...]:
+def base_objects(folder: str) -> tuple[project.Item, ...]:
     """Return the objects that every project has, in the order in which they depend on each other."""
     return read_objects("base", _BASE, folder)
 
 
-def classic_objects(folder: str) -> tuple[Item, ...]:
+def classic_objects(folder: str) -> tuple[project.Item, ...]:
     """Return the objects that classic blocks extend."""
     return read_objects("classic", CLASSIC_NAMES, folder)
 
 
-def call_objects(folder: str, *, actions: bool) -> tuple[Item, ...]:
+def call_objects(folder: str, *, actions: bool) -> tuple[project.Item, ...]:
     """Return the objects that the blocks of services, and of actions, extend."""
     return read_objects("calls", CALL_NAMES + ACTION_NAMES * actions, folder)
 
 
-def read_objects(templates: str, names: Iterable[str], folder: str, **values: Any) -> tuple[Item, ...]:
+def read_objects(
+    templates: str, names: Iterable[str], folder: str, **values: Any
+) -> tuple[project.Item, ...]:
     """Return the named objects of a folder below ``templates/``, for ``folder`` in the PLC project."""
     return tuple(parse_object(render(f"{templates}/{name}.st", **values), name, folder) for name in names)
 
 
-def parse_object(text: str, name: str, folder: str = "") -> Item:
+def parse_object(text: str, name: str, folder: str = "") -> project.Item:
     """Return the object of a text; ValueError if it is not of the form that the templates keep to."""
     comment, attributes, rest = _preamble([line.rstrip() for line in text.rstrip().splitlines()])
     if rest[0] == f"TYPE {name} :" and rest[-1] == "END_TYPE":
         if (rest[1], rest[-2]) == ("STRUCT", "END_STRUCT"):
-            return Dut(name, tuple(_variable(line, name) for line in rest[2:-2]), attributes, comment, folder)
+            return project.Dut(
+                name, tuple(_variable(line, name) for line in rest[2:-2]), attributes, comment, folder
+            )
         if rest[1] == "(" and rest[-2].startswith(") "):
             values = tuple(_enumerator(line, name) for line in rest[2:-2])
-            return Enumeration(name, values, rest[-2][2:].rstrip(";"), attributes, comment, folder)
+            return project.Enumeration(name, values, rest[-2][2:].rstrip(";"), attributes, comment, folder)
     if rest[0].startswith("VAR_GLOBAL"):
         blocks, after = _blocks(rest, name)
         if not after:
-            return Gvl(name, blocks, attributes, comment, folder)
+            return project.Gvl(name, blocks, attributes, comment, folder)
     return _pou(rest, name, comment, attributes, folder)
 
 
@@ -146,32 +139,32 @@ def _enumerator(line: str, where: str) -> tuple[str, int]:
     return name, int(value)
 
 
-def _variable(line: str, where: str) -> Variable:
+def _variable(line: str, where: str) -> project.Variable:
     code, _, comment = line.strip().partition("; // ")
     declared, _, initial = code.removesuffix(";").partition(" := ")
     name, _, type_ = declared.partition(" : ")
     if type_.endswith("('')"):  # a channel's block, which learns its topic later
-        return Variable(name, type_.removesuffix("('')"), None, comment, (("sTopic", "''"),))
+        return project.Variable(name, type_.removesuffix("('')"), None, comment, (("sTopic", "''"),))
     if not type_ or not name.isidentifier() or ";" in code[:-1] or not (comment or code.endswith(";")):
         raise ValueError(f"{where}: not a declaration: {line!r}")
-    return Variable(name, type_, initial or None, comment)
+    return project.Variable(name, type_, initial or None, comment)
 
 
-def _blocks(lines: list[str], where: str) -> tuple[tuple[VarBlock, ...], list[str]]:
+def _blocks(lines: list[str], where: str) -> tuple[tuple[project.VarBlock, ...], list[str]]:
     """Split the leading variable blocks from what follows."""
-    blocks: list[VarBlock] = []
+    blocks: list[project.VarBlock] = []
     while lines and lines[0].startswith("VAR"):
         end = lines.index("END_VAR")
         kind, _, constant = lines[0].partition(" ")
         variables = tuple(_variable(line, where) for line in lines[1:end])
-        blocks.append(VarBlock(cast(VarBlockKind, kind), variables, constant == "CONSTANT"))
+        blocks.append(project.VarBlock(cast(project.VarBlockKind, kind), variables, constant == "CONSTANT"))
         lines = lines[end + 1 :]
     return tuple(blocks), lines
 
 
 def _pou(
     lines: list[str], name: str, comment: str, attributes: tuple[tuple[str, str], ...], folder: str
-) -> Pou:
+) -> project.Pou:
     kind, *words = lines[0].split()
     if kind not in ("FUNCTION_BLOCK", "FUNCTION", "PROGRAM"):
         raise ValueError(f"{name}: not an object: {lines[0]!r}")
@@ -183,9 +176,9 @@ def _pou(
         raise ValueError(f"{name}: not the head of an object: {lines[0]!r}")
     end = lines.index(f"END_{kind}")
     blocks, body = _blocks(lines[1:end], name)
-    return Pou(
+    return project.Pou(
         name,
-        cast(PouKind, kind),
+        cast(project.PouKind, kind),
         blocks,
         "\n".join(body),
         methods=tuple(_methods(lines[end + 1 :], name)),
@@ -198,7 +191,7 @@ def _pou(
     )
 
 
-def _methods(lines: list[str], where: str) -> Iterable[Method]:
+def _methods(lines: list[str], where: str) -> Iterable[project.Method]:
     while any(lines):
         comment, _, rest = _preamble(lines)
         head, _, returns = rest[0].partition(" : ")
@@ -208,7 +201,7 @@ def _methods(lines: list[str], where: str) -> Iterable[Method]:
         end = rest.index("END_METHOD")
         blocks, body = _blocks(rest[1:end], f"{where}.{words[2]}")
         access = cast(Literal["PUBLIC", "PRIVATE", "PROTECTED"], words[1])
-        yield Method(words[2], blocks, "\n".join(body), returns or None, access, comment)
+        yield project.Method(words[2], blocks, "\n".join(body), returns or None, access, comment)
         lines = rest[end + 1 :]
 
 
@@ -230,7 +223,7 @@ HELPER_NAMES = (*_GENERAL, *_TIMES, *_DURATIONS, *_ANGLES)
 """Names that no generated object may take, whether or not the helper is part of a project."""
 
 
-def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[Item, ...]:
+def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[project.Item, ...]:
     """Return the helpers whose message types ``store`` has, and have ``builder`` build these types."""
     names: list[str] = list(_GENERAL)
     for type_name, helpers in _HELPERS.items():

@@ -16,29 +16,10 @@ from typing import Any, Literal
 from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Project
 from rosplc.errors import GenerationError
-from rosplc.layout import Layout, compute_layout
-from rosplc.layout.nodes import (
-    ArrayNode,
-    Member,
-    Node,
-    PaddingNode,
-    ScalarNode,
-    SequenceNode,
-    StringNode,
-    StructNode,
-)
+from rosplc.layout import Layout, compute_layout, nodes
 from rosplc.model import TypeStore
+from rosplc.plc import build
 from rosplc.plc.base import render
-from rosplc.plc.build import (
-    ACTION_GVL,
-    SERVICE_GVL,
-    call_name,
-    call_role,
-    plc_tasks,
-    plc_topics,
-    read_arguments,
-    use_names,
-)
 from rosplc.plc.names import Scope, instance_names, literal, string_literal, time_literal
 from rosplc.plc.plan import PlcTask, PlcTopic, beat_ms
 from rosplc.plc.project import Dut
@@ -60,7 +41,7 @@ def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[s
     Raises GenerationError (PLC006) for a name that is too long for matiec.
     """
     inner = {plan.topic for plan in project.topics if plan.of_parameters}
-    topics = [each for each in plc_topics(project) if each.classic is None and each.topic not in inner]
+    topics = [each for each in build.plc_topics(project) if each.classic is None and each.topic not in inner]
     for name in [topic.topic for topic in topics] + [call.called for call in project.calls]:
         if plc == "matiec" and len(name) > _STRING:
             what = f"the name has {len(name)} characters, a string of matiec {_STRING}"
@@ -72,7 +53,7 @@ def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[s
         made.block(topic.layout, topic.direction)
     for call in sorted(project.calls, key=lambda call: call.name):
         made.use(call)
-    return made.files(topics, plc_tasks(project), project.calls), tuple(made.notes)
+    return made.files(topics, build.plc_tasks(project), project.calls), tuple(made.notes)
 
 
 def openplc_types(distro: str, plc: Plc) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -101,10 +82,10 @@ class _Openplc:
             self.blocks[layout, direction] = {"name": name, "dut": dut, "direction": direction}
 
     def use(self, call: CallPlan) -> dict[str, Any]:
-        key: tuple[str | Layout, ...] = (call_role(call), *call.layouts)
+        key: tuple[str | Layout, ...] = (build.call_role(call), *call.layouts)
         if key not in self.uses:
             duts = [self._layout(layout) for layout in call.layouts]
-            name = self.builder.scope.give(call_name(call, duts))
+            name = self.builder.scope.give(build.call_name(call, duts))
             parts = {part.word: dut for part, dut in zip(call.parts, duts, strict=True)}
             self.uses[key] = {"name": name, "role": key[0], "calls": call.server == "ros", "parts": parts}
         return self.uses[key]
@@ -159,17 +140,17 @@ class _Openplc:
             result["NOTES.txt"] = ("\n".join(self.notes) + "\n").encode()
         return result
 
-    def _dut(self, dut: Dut, node: StructNode) -> Dut:
+    def _dut(self, dut: Dut, node: nodes.StructNode) -> Dut:
         """Return a structure without padding, and without initial values that the compiler would change."""
         members = []
         for variable, member in zip(dut.members, node.members, strict=True):
-            if isinstance(member.node, PaddingNode):
+            if isinstance(member.node, nodes.PaddingNode):
                 continue
             where = f"{dut.name}.{variable.name}"
             element = getattr(member.node, "element", None)
             if self.plc == "matiec":
                 variable = replace(variable, type=_of_matiec(member.node, variable.type))
-            elif isinstance(element, StringNode) and element.capacity > _ARRAY_STRING:
+            elif isinstance(element, nodes.StringNode) and element.capacity > _ARRAY_STRING:
                 self.notes.append(f"{where}: STruC++ keeps {_ARRAY_STRING} characters of each string")
             initial = variable.initial or ""
             text = "'" in initial and variable.type.endswith("OF BYTE")
@@ -181,12 +162,12 @@ class _Openplc:
             members.append(variable)
         return replace(dut, members=tuple(members))
 
-    def _members(self, node: StructNode) -> Iterator[dict[str, Any]]:
+    def _members(self, node: nodes.StructNode) -> Iterator[dict[str, Any]]:
         names = self.builder.struct(node)
         for member in node.members:
-            if isinstance(member.node, PaddingNode):
+            if isinstance(member.node, nodes.PaddingNode):
                 continue
-            several = member.node if isinstance(member.node, (ArrayNode, SequenceNode)) else None
+            several = member.node if isinstance(member.node, (nodes.ArrayNode, nodes.SequenceNode)) else None
             inner = several.element if several else member.node
             yield {
                 "name": names.of(node, member).upper(),
@@ -194,17 +175,17 @@ class _Openplc:
                 "offset": member.offset,
                 "count": several.capacity if several else 0,
                 "stride": several.stride if several else 0,
-                "capacity": f", {inner.capacity}" if isinstance(inner, StringNode) else "",
+                "capacity": f", {inner.capacity}" if isinstance(inner, nodes.StringNode) else "",
                 "most": _counted(node, member),
             }
 
-    def _kind(self, node: Node) -> str:
+    def _kind(self, node: nodes.Node) -> str:
         """Return how matiec's C copies a value; empty: byte by byte."""
-        if isinstance(node, StructNode):
+        if isinstance(node, nodes.StructNode):
             return self.builder.struct(node).dut.upper()
-        if isinstance(node, StringNode):
+        if isinstance(node, nodes.StringNode):
             return "bytes" if node.capacity > _STRING else "string"
-        return "bool" if isinstance(node, ScalarNode) and node.kind == "bool" else ""
+        return "bool" if isinstance(node, nodes.ScalarNode) and node.kind == "bool" else ""
 
     def _tasks(
         self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask], calls: Sequence[CallPlan]
@@ -220,8 +201,8 @@ class _Openplc:
                     "arguments": f"sName := {string_literal(use.called)}"
                     + (f", sClient := {string_literal(use.client)}" if use.client else ""),
                 }
-                for gvl in (SERVICE_GVL, ACTION_GVL)
-                for (_, use), name in use_names(gvl, [call for call in calls if call.task == task.name])
+                for gvl in (build.SERVICE_GVL, build.ACTION_GVL)
+                for (_, use), name in build.use_names(gvl, [call for call in calls if call.task == task.name])
             ]
             if own or uses:
                 yield {
@@ -236,38 +217,38 @@ class _Openplc:
                             "block": self.blocks[topic.layout, topic.direction]["name"],
                             "direction": topic.direction,
                             "topic": string_literal(topic.topic),
-                            "arguments": list(read_arguments(topic)),
+                            "arguments": list(build.read_arguments(topic)),
                             "safe": list(self._safe(topic.layout.root, topic.safe or {}, "")),
                         }
                         for topic in own
                     ],
                 }
 
-    def _safe(self, node: Node, value: Any, path: str) -> Iterator[str]:
-        if isinstance(node, StructNode):
+    def _safe(self, node: nodes.Node, value: Any, path: str) -> Iterator[str]:
+        if isinstance(node, nodes.StructNode):
             names = self.builder.struct(node)
             for member in node.members:
-                if member.name in value and not isinstance(member.node, PaddingNode):
+                if member.name in value and not isinstance(member.node, nodes.PaddingNode):
                     given = len(value[member.name]) if member.count_of else value[member.name]
                     yield from self._safe(member.node, given, f"{path}.{names.of(node, member)}".lstrip("."))
-        elif isinstance(node, (ArrayNode, SequenceNode)):
+        elif isinstance(node, (nodes.ArrayNode, nodes.SequenceNode)):
             for index, item in enumerate(value):
                 yield from self._safe(node.element, item, f"{path}[{index}]")
-        elif self.plc == "matiec" and isinstance(node, StringNode) and node.capacity > _STRING:
+        elif self.plc == "matiec" and isinstance(node, nodes.StringNode) and node.capacity > _STRING:
             start = f"{path[:-1]}, " if path.endswith("]") else f"{path}["
             for index, byte in enumerate(value.encode("utf-8", "surrogateescape")):
                 yield f"{start}{index}] := {byte}"
         else:
-            kind = "string" if isinstance(node, StringNode) else getattr(node, "kind", "")
+            kind = "string" if isinstance(node, nodes.StringNode) else getattr(node, "kind", "")
             if (text := literal(kind, value)) is not None:
                 yield f"{path} := {text}"
 
 
-def _of_matiec(node: Node, declared: str) -> str:
+def _of_matiec(node: nodes.Node, declared: str) -> str:
     """Return a member's type for matiec: a string too long for its STRING is bytes that end with a 0."""
-    several = node if isinstance(node, (ArrayNode, SequenceNode)) else None
+    several = node if isinstance(node, (nodes.ArrayNode, nodes.SequenceNode)) else None
     inner = several.element if several else node
-    if not isinstance(inner, StringNode):
+    if not isinstance(inner, nodes.StringNode):
         return declared
     if inner.capacity <= _STRING:
         return f"ARRAY[0..{several.capacity - 1}] OF STRING" if several else "STRING"
@@ -275,7 +256,9 @@ def _of_matiec(node: Node, declared: str) -> str:
     return f"ARRAY[{rows}0..{inner.capacity}] OF BYTE"
 
 
-def _counted(node: StructNode, member: Member) -> int:
+def _counted(node: nodes.StructNode, member: nodes.Member) -> int:
     """Return the capacity of the sequence whose elements a member counts; 0: it counts none."""
     counted = (m.node for m in node.members if m.name == member.count_of and not m.count_of)
-    return next((n.capacity for n in counted if isinstance(n, SequenceNode)), 0) if member.count_of else 0
+    return (
+        next((n.capacity for n in counted if isinstance(n, nodes.SequenceNode)), 0) if member.count_of else 0
+    )

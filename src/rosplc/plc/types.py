@@ -12,17 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rosplc.layout import Layout
-from rosplc.layout.nodes import (
-    ArrayNode,
-    Member,
-    Node,
-    PaddingNode,
-    ScalarNode,
-    SequenceNode,
-    StringNode,
-    StructNode,
-)
+from rosplc.layout import Layout, nodes
 from rosplc.model import TypeStore
 from rosplc.model.types import Constant, Field, MessageType, PrimitiveType, Value
 from rosplc.plc.names import IEC_TYPES, Scope, literal, type_prefix
@@ -47,7 +37,7 @@ class MemberNames:
     dut: str
     names: tuple[str, ...]
 
-    def of(self, node: StructNode, member: Member) -> str:
+    def of(self, node: nodes.StructNode, member: nodes.Member) -> str:
         """Return the identifier of a member."""
         return self.names[node.members.index(member)]
 
@@ -64,7 +54,7 @@ class DutBuilder:
     constants: list[Gvl] = field(default_factory=list)  # variable lists of the types' constants
     renamings: list[Renaming] = field(default_factory=list)  # names that had to change
     omitted: list[str] = field(default_factory=list)  # values that Structured Text cannot write, as sentences
-    structs: dict[StructNode, MemberNames] = field(default_factory=dict)  # what the DUTs are built of
+    structs: dict[nodes.StructNode, MemberNames] = field(default_factory=dict)  # what the DUTs are built of
     _seen_types: set[str] = field(default_factory=set)
 
     def add(self, layout: Layout) -> str:
@@ -76,13 +66,13 @@ class DutBuilder:
         name = self.add(layout)
         return {member.name: member.type for dut in self.duts if dut.name == name for member in dut.members}
 
-    def struct(self, node: StructNode) -> MemberNames:
+    def struct(self, node: nodes.StructNode) -> MemberNames:
         """Build a struct's DUT, after those that it contains."""
         if known := self.structs.get(node):
             return known
         for member in node.members:
             inner = _element(member.node)
-            if isinstance(inner, StructNode):
+            if isinstance(inner, nodes.StructNode):
                 self.struct(inner)
         message = self.store[node.type_name]
         scope = Scope()
@@ -116,22 +106,22 @@ class DutBuilder:
             self._constants(message)
         return result
 
-    def _note(self, node: StructNode, names: MemberNames, wanted: str) -> None:
+    def _note(self, node: nodes.StructNode, names: MemberNames, wanted: str) -> None:
         if names.dut != wanted:
             self.renamings.append(Renaming(f"{node.type_name}, {node.size} bytes", wanted, names.dut))
         for name, member in zip(names.names, node.members, strict=True):
             own = _wanted(member)
-            if name != own and not isinstance(member.node, PaddingNode):
+            if name != own and not isinstance(member.node, nodes.PaddingNode):
                 self.renamings.append(Renaming(names.dut, own, name))
 
-    def _type(self, node: Node) -> str:
-        if isinstance(node, ScalarNode):
+    def _type(self, node: nodes.Node) -> str:
+        if isinstance(node, nodes.ScalarNode):
             return IEC_TYPES[node.kind]
-        if isinstance(node, StringNode):
+        if isinstance(node, nodes.StringNode):
             return f"STRING({node.capacity})"
-        if isinstance(node, PaddingNode):
+        if isinstance(node, nodes.PaddingNode):
             return f"ARRAY[0..{node.size - 1}] OF BYTE"
-        if isinstance(node, ArrayNode | SequenceNode):
+        if isinstance(node, nodes.ArrayNode | nodes.SequenceNode):
             return f"ARRAY[0..{node.capacity - 1}] OF {self._type(node.element)}"
         return self.struct(node).dut
 
@@ -155,17 +145,17 @@ class DutBuilder:
         self.constants.append(Gvl(name, (block,), (("qualified_only", ""),), comment, self.folder))
 
 
-def _initial(member: Member, fields: dict[str, Field]) -> str | None:
+def _initial(member: nodes.Member, fields: dict[str, Field]) -> str | None:
     """Return a member's initial value; a sequence's default also sets its count."""
     item = fields.get(member.count_of or member.name)
-    if item is None or item.default is None or isinstance(member.node, PaddingNode):
+    if item is None or item.default is None or isinstance(member.node, nodes.PaddingNode):
         return None
     default: Value = item.default
     if member.count_of:
         return str(len(default)) if isinstance(default, tuple) else None
     element = _element(member.node)
-    kind = element.kind if isinstance(element, ScalarNode) else "string"
-    if isinstance(member.node, SequenceNode) and isinstance(default, tuple):
+    kind = element.kind if isinstance(element, nodes.ScalarNode) else "string"
+    if isinstance(member.node, nodes.SequenceNode) and isinstance(default, tuple):
         missing = member.node.capacity - len(default)
         text = literal(kind, default)
         if text is None or not missing:
@@ -190,18 +180,18 @@ def _constant(constant: Constant) -> tuple[str, str] | None:
     return (f"STRING({length})", text) if text is not None else None
 
 
-def _wanted(member: Member) -> str:
+def _wanted(member: nodes.Member) -> str:
     """Return what a member is called if nothing speaks against it."""
-    if isinstance(member.node, PaddingNode):
+    if isinstance(member.node, nodes.PaddingNode):
         return f"abPad{member.offset}"
     return f"{member.name}_count" if member.count_of else member.name
 
 
-def _element(node: Node) -> Node:
-    return node.element if isinstance(node, (ArrayNode, SequenceNode)) else node
+def _element(node: nodes.Node) -> nodes.Node:
+    return node.element if isinstance(node, (nodes.ArrayNode, nodes.SequenceNode)) else node
 
 
-def initial_value(node: StructNode, value: Mapping[str, Any], builder: DutBuilder) -> str | None:
+def initial_value(node: nodes.StructNode, value: Mapping[str, Any], builder: DutBuilder) -> str | None:
     """Return the initial value with these fields, which ``Layout.pack`` accepted; None if there are none."""
     names = builder.struct(node)
     parts = []
@@ -215,25 +205,25 @@ def initial_value(node: StructNode, value: Mapping[str, Any], builder: DutBuilde
     return f"({', '.join(parts)})" if parts else None
 
 
-def _value(node: Node, value: Any, builder: DutBuilder) -> str | None:
-    if isinstance(node, StructNode):
+def _value(node: nodes.Node, value: Any, builder: DutBuilder) -> str | None:
+    if isinstance(node, nodes.StructNode):
         return initial_value(node, value, builder)
-    if isinstance(node, ScalarNode):
+    if isinstance(node, nodes.ScalarNode):
         return literal(node.kind, value)
-    if isinstance(node, StringNode):
+    if isinstance(node, nodes.StringNode):
         return literal("string", value)
-    assert isinstance(node, (ArrayNode, SequenceNode))
+    assert isinstance(node, (nodes.ArrayNode, nodes.SequenceNode))
     return _elements(node, value, builder)
 
 
-def _elements(node: ArrayNode | SequenceNode, value: Any, builder: DutBuilder) -> str | None:
+def _elements(node: nodes.ArrayNode | nodes.SequenceNode, value: Any, builder: DutBuilder) -> str | None:
     """Return an array's initial value; elements beyond those given are as if nobody had filled them."""
     element = node.element
-    if isinstance(element, StructNode):
+    if isinstance(element, nodes.StructNode):
         # An element without a field of its own still needs a place: it names one that is initial.
         texts = [initial_value(element, item, builder) or _untouched(element, builder) for item in value]
         return None if None in texts or not texts else f"[{', '.join(str(text) for text in texts)}]"
-    kind = element.kind if isinstance(element, ScalarNode) else "string"
+    kind = element.kind if isinstance(element, nodes.ScalarNode) else "string"
     texts = [literal(kind, item) for item in value]
     if node.capacity > len(texts):
         # Written out: a default value of the definition, which may be longer, must not show through.
@@ -241,7 +231,7 @@ def _elements(node: ArrayNode | SequenceNode, value: Any, builder: DutBuilder) -
     return f"[{', '.join(str(text) for text in texts)}]"
 
 
-def _untouched(node: StructNode, builder: DutBuilder) -> str | None:
+def _untouched(node: nodes.StructNode, builder: DutBuilder) -> str | None:
     """Return a structure's initial value, written with one of its members; None if it has none at all."""
     defaults = {item.name: item.default for item in builder.store[node.type_name].fields}
     names = builder.struct(node)
@@ -253,17 +243,17 @@ def _untouched(node: StructNode, builder: DutBuilder) -> str | None:
     return None
 
 
-def _plain(node: Node, default: Any, builder: DutBuilder) -> str | None:
+def _plain(node: nodes.Node, default: Any, builder: DutBuilder) -> str | None:
     """Return a member's initial value; None where it has a default that is a list."""
-    if isinstance(node, StructNode):
+    if isinstance(node, nodes.StructNode):
         return _untouched(node, builder)
     if isinstance(default, tuple):
         return None
-    if isinstance(node, ScalarNode):
+    if isinstance(node, nodes.ScalarNode):
         return literal(node.kind, 0 if default is None else default)
-    if isinstance(node, StringNode):
+    if isinstance(node, nodes.StringNode):
         return literal("string", default or "")
-    if isinstance(node, (ArrayNode, SequenceNode)):
+    if isinstance(node, (nodes.ArrayNode, nodes.SequenceNode)):
         inner = _plain(node.element, None, builder)
         return None if inner is None else f"[{inner}]"
     return None

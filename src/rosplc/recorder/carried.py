@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rosplc import shm
 from rosplc.codec import Codec, Wire
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError, RosplcError
@@ -28,19 +29,6 @@ from rosplc.recorder.mcap_file import ChannelInfo
 from rosplc.recorder.store import qos_text
 from rosplc.ros import DEFAULT, LATCHED, GoalStatus, Qos
 from rosplc.ros.actions import STATUS_QOS, CancelCode
-from rosplc.shm import (
-    ACTION,
-    SERVICE,
-    Description,
-    Direction,
-    Group,
-    Namespace,
-    Part,
-    Reader,
-    SlotInfo,
-    distance,
-    open_object,
-)
 from rosplc.shm import constants as spec
 from rosplc.shm.attach import belong_together
 
@@ -92,9 +80,9 @@ def recorded_name(topic: str) -> str:
     return topic.removesuffix(ending)
 
 
-def topics_of(name: str, part: Part) -> list[str]:
+def topics_of(name: str, part: shm.Part) -> list[str]:
     """Return the topics that files have of a topic, service or action."""
-    endings = {Part.TOPIC: [""], Part.REQUEST: [EVENTS], Part.GOAL: [*_TOPICS]}
+    endings = {shm.Part.TOPIC: [""], shm.Part.REQUEST: [EVENTS], shm.Part.GOAL: [*_TOPICS]}
     return [name + ending for ending in endings.get(part, ())]
 
 
@@ -102,13 +90,13 @@ class _Object:
     """An object, attached read-only; arguments and errors as :class:`Carried`."""
 
     def __init__(self, path: Path, *, since_ns: int | None) -> None:
-        self.attached = open_object(str(path))
+        self.attached = shm.open_object(str(path))
         try:
             layout = layout_of(self.attached)
             # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
             self.codec, self.limits = Codec(layout, Wire.CDR), dict(self.attached.description.limits)
             # takes every message in order, and counts what it missed
-            self.reader: Reader = self.attached.reader(latched=since_ns is not None)
+            self.reader: shm.Reader = self.attached.reader(latched=since_ns is not None)
             self._begun = since_ns is not None
         except BaseException:
             self.attached.close()
@@ -121,7 +109,7 @@ class _Object:
             self._begun = True
             self.reader = self.attached.reader()
 
-    def next(self) -> SlotInfo | None:
+    def next(self) -> shm.SlotInfo | None:
         return self.reader.next(self.record)
 
     @property
@@ -132,7 +120,7 @@ class _Object:
         head = self.attached.region.word(spec.WRITER_LINE["head"])
         if not head or not (self.reader.last or since_creation):
             return 0
-        count = distance(self.reader.last, head, self.slots)
+        count = shm.distance(self.reader.last, head, self.slots)
         return count if count < _NO_COUNT else 0
 
 
@@ -174,17 +162,17 @@ class Carried:
     def __init__(self, path: Path, *, since_ns: int | None) -> None:
         first = _Object(path, since_ns=since_ns)
         self._objects = [first]
-        self.description: Description = first.attached.description
+        self.description: shm.Description = first.attached.description
         # whether it was made while recording, so that its first message is one to take
         self.since_creation = since_ns is not None and first.attached.identity.created_ns >= since_ns
         self.slots = first.slots
         # Which QoS the bridge uses is in its configuration alone; these are its defaults.
-        qos = LATCHED if self.description.direction is Direction.TO_ROS else DEFAULT
+        qos = LATCHED if self.description.direction is shm.Direction.TO_ROS else DEFAULT
         self.streams: tuple[Stream, ...] = (
             Stream(self.description.topic, first.codec, first.limits, (first,), qos),
         )
 
-    def join(self, group: Group) -> list[int]:
+    def join(self, group: shm.Group) -> list[int]:
         """Have a group take what comes from now on, or report that something has; return the indices.
 
         What came while the objects were opened is no loss. Raises SHM111 if one has been retired.
@@ -220,9 +208,9 @@ class CarriedService(Carried):
     """
 
     mode = _REPORT_NEWS
-    parts: tuple[Part, ...] = SERVICE
+    parts: tuple[shm.Part, ...] = shm.SERVICE
 
-    def __init__(self, namespace: Namespace, path: Path, *, since_ns: int | None) -> None:
+    def __init__(self, namespace: shm.Namespace, path: Path, *, since_ns: int | None) -> None:
         super().__init__(path, since_ns=since_ns)
         about = self.description
         try:
@@ -241,14 +229,14 @@ class CarriedService(Carried):
             raise ChannelError("SHM113", what, where=str(path)) from error
         self.since_creation = False
         self._call = 0
-        self._served = about.direction is Direction.TO_PLC
+        self._served = about.direction is shm.Direction.TO_PLC
         own = f"{namespace.prefix}{about.topic} {about.client}".encode()
         self._client = hashlib.md5(own, usedforsecurity=False).digest()  # a PLC has no number
 
-    def _streams(self, both: Mapping[Part, _Object]) -> tuple[Stream, ...]:
+    def _streams(self, both: Mapping[shm.Part, _Object]) -> tuple[Stream, ...]:
         limits = {part.word: one.limits for part, one in both.items()}
         layouts = {f"{part.word}[].": one.codec.layout for part, one in both.items()}
-        service = both[Part.REQUEST].codec.layout.type_name.removesuffix("_Request")
+        service = both[shm.Part.REQUEST].codec.layout.type_name.removesuffix("_Request")
         codec = _codec(with_interface(_merged(*layouts.values()), service), f"{service}_Event", layouts)
         return (Stream(self.description.topic + EVENTS, codec, limits, tuple(self._objects)),)
 
@@ -265,11 +253,11 @@ class CarriedService(Carried):
             if before != info.correlation and not info.status & spec.ASK_WITHDRAWN:
                 yield self._event(0, info, now_ns, request=self._objects[0].view)
 
-    def _answered(self, info: SlotInfo, now_ns: int) -> Iterator[Event]:
+    def _answered(self, info: shm.SlotInfo, now_ns: int) -> Iterator[Event]:
         if info.status & spec.ANSWER_MASK == spec.ANSWER_DONE:
             yield self._event(0, info, now_ns, response=self._objects[1].view)
 
-    def _event(self, stream: int, info: SlotInfo, now_ns: int, **part: Any) -> Event:
+    def _event(self, stream: int, info: shm.SlotInfo, now_ns: int, **part: Any) -> Event:
         """Return an event that has a request or a response."""
         answers, time_ns = "response" in part, _time_of(info, now_ns)
         about = {
@@ -282,7 +270,7 @@ class CarriedService(Carried):
         content = {name: [value] for name, value in part.items()}
         return self._message(stream, info, now_ns, {"info": about, **content})
 
-    def _message(self, stream: int, info: SlotInfo, now_ns: int, content: Mapping[str, Any]) -> Event:
+    def _message(self, stream: int, info: shm.SlotInfo, now_ns: int, content: Mapping[str, Any]) -> Event:
         codec = self.streams[stream].codec
         data = codec.encode(codec.layout.pack(content))
         return Event(stream, info.correlation & 0xFFFFFFFF, _time_of(info, now_ns), data)
@@ -304,14 +292,14 @@ class CarriedAction(CarriedService):
     its result; what led to a newer state is told with it.
     """
 
-    parts = ACTION
+    parts = shm.ACTION
 
-    def __init__(self, namespace: Namespace, path: Path, *, since_ns: int | None) -> None:
+    def __init__(self, namespace: shm.Namespace, path: Path, *, since_ns: int | None) -> None:
         super().__init__(namespace, path, since_ns=since_ns)
         self._goals: dict[int, _Goal] = {}  # the newest, by their calls
         self._early: list[Event] = []  # feedback taken before the answers
 
-    def _streams(self, both: Mapping[Part, _Object]) -> tuple[Stream, ...]:
+    def _streams(self, both: Mapping[shm.Part, _Object]) -> tuple[Stream, ...]:
         goal, result, feedback = (one.codec.layout for one in both.values())
         action = goal.type_name.removesuffix("_Goal")
         store = with_interface(_merged(goal, result, feedback), action)
@@ -353,13 +341,13 @@ class CarriedAction(CarriedService):
                 yield self._event(_CANCEL, info, now_ns, request={"goal_info": goal.id})
             goal.asks = asks
 
-    def _add(self, info: SlotInfo) -> _Goal:
+    def _add(self, info: shm.SlotInfo) -> _Goal:
         if len(self._goals) >= _MOST_GOALS:
             del self._goals[next(iter(self._goals))]
         goal = self._goals[info.correlation] = _Goal({"goal_id": {"uuid": bytes(info.client)}})
         return goal
 
-    def _answered(self, info: SlotInfo, now_ns: int) -> Iterator[Event]:
+    def _answered(self, info: shm.SlotInfo, now_ns: int) -> Iterator[Event]:
         status, goal = info.status & spec.ANSWER_MASK, self._goals.get(info.correlation)
         if goal is None:  # it was accepted before the recording began, for all that is known
             goal = self._add(info)
@@ -404,7 +392,7 @@ class CarriedAction(CarriedService):
 _SEND, _CANCEL, _GET, _FEEDBACK, _STATUS = range(len(_TOPICS))
 
 
-def _check_types(both: Mapping[Part, _Object]) -> None:
+def _check_types(both: Mapping[shm.Part, _Object]) -> None:
     types = {part: one.attached.description.type for part, one in both.items()}
     name = next(iter(types.values())).rpartition("_")[0]
     for part, own in types.items():
@@ -414,7 +402,7 @@ def _check_types(both: Mapping[Part, _Object]) -> None:
             )
 
 
-def _time_of(info: SlotInfo, now_ns: int) -> int:
+def _time_of(info: shm.SlotInfo, now_ns: int) -> int:
     usable = info.stamp_clock == spec.STAMP_SYSTEM and 0 < info.stamp_ns < _NO_STAMP
     return info.stamp_ns if usable else now_ns
 
@@ -464,7 +452,7 @@ def channel_info(carried: Carried, stream: Stream, number: int, prefix: str, qos
         "rosplc.prefix": prefix,
     }
     schema = definition.encode(), "ros2msg"
-    if description.part is not Part.TOPIC:
+    if description.part is not shm.Part.TOPIC:
         # In .msg text, readers do not find the parts of services by their names.
         action = action_of(stream.topic, layout.type_name) and layout.type_name.removesuffix(
             "_SendGoal_Event"

@@ -17,16 +17,6 @@ from rosplc.harmless import one_line
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import backend
-from rosplc.ros.backend import (
-    EndpointInfo,
-    EndpointStatus,
-    GraphInfo,
-    OnMessage,
-    OnReply,
-    OnRequest,
-    Qos,
-    Reply,
-)
 from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
 
 MOST_REASONS = 8  # Peers of one topic that a reason names; the others are counted.
@@ -102,8 +92,10 @@ class LogOnce:
 
 
 def graph_info(
-    nodes: Iterable[str], endpoints: Iterable[EndpointInfo], services: Iterable[EndpointInfo] = ()
-) -> GraphInfo:
+    nodes: Iterable[str],
+    endpoints: Iterable[backend.EndpointInfo],
+    services: Iterable[backend.EndpointInfo] = (),
+) -> backend.GraphInfo:
     """Return the graph of these nodes, endpoints and ends of services, sorted."""
     found, calls = (
         tuple(sorted(each, key=lambda info: (info.topic, info.direction, info.node)))
@@ -113,7 +105,7 @@ def graph_info(
     for one in found:
         topics.setdefault(one.topic, set()).add(one.type_name)
     types = {topic: tuple(sorted(each)) for topic, each in topics.items()}
-    return GraphInfo(tuple(sorted(set(nodes))), found, types, calls)
+    return backend.GraphInfo(tuple(sorted(set(nodes))), found, types, calls)
 
 
 def is_cdr(payload: bytes) -> bool:
@@ -133,7 +125,7 @@ def is_service(type_name: str) -> bool:
     return not part and ("/srv/" in type_name or ("/action/" in type_name and derived))
 
 
-def describe(peer: EndpointInfo, name: str = "") -> str:
+def describe(peer: backend.EndpointInfo, name: str = "") -> str:
     """Return what a peer (``name``, or its node) does: ``node /talker publishes /chatter as …``."""
     service = is_service(peer.type_name)
     verbs = ("serves", "calls") if service else ("subscribes to", "publishes")
@@ -141,7 +133,11 @@ def describe(peer: EndpointInfo, name: str = "") -> str:
 
 
 def explain(
-    peer: EndpointInfo, ours: BaseEndpoint | EndpointInfo, name: str = "", *, matched: bool = False
+    peer: backend.EndpointInfo,
+    ours: BaseEndpoint | backend.EndpointInfo,
+    name: str = "",
+    *,
+    matched: bool = False,
 ) -> Problem | None:
     """Return what is wrong between a peer and our endpoint of the other direction; None if not known."""
     # The peer is called ``name``, or by its node. What the middleware has ``matched`` has settings that fit.
@@ -162,7 +158,7 @@ def _short(type_hash: str) -> str:
     return f"{type_hash[7:15]}…" if type_hash.startswith("RIHS01_") else "none, as on Humble"
 
 
-def queue_of(qos: Qos) -> Qos:
+def queue_of(qos: backend.Qos) -> backend.Qos:
     """Return a service's settings with room for what arrives between two looks of the receive thread."""
     # The profile's depth of 10 would lose the rest of a burst without a trace; peers do not see the depth.
     return replace(qos, depth=max(qos.depth, 1000))
@@ -184,7 +180,7 @@ class BaseEndpoint:
     kind: str
     serves = False  # whether it belongs to a service
 
-    def __init__(self, node: Any, topic: str, type_name: str, qos: Qos, type_hash: str = "") -> None:
+    def __init__(self, node: Any, topic: str, type_name: str, qos: backend.Qos, type_hash: str = "") -> None:
         self.topic, self.type_name, self.qos, self.type_hash = topic, type_name, qos, type_hash
         self.closed = False
         self._node = node
@@ -218,14 +214,14 @@ class BaseEndpoint:
         """Return messages that the middleware refused since their bytes do not fit the type."""
         return 0
 
-    def status(self) -> EndpointStatus:
+    def status(self) -> backend.EndpointStatus:
         """Return the present state."""
         if self.closed:
             matched, code, reason, losses, late = 0, "ROS009", "closed", 0, 0
         else:
             code, reason = self._problem()
             matched, losses, late = self.matched, self._losses(), self._late()
-        return EndpointStatus(
+        return backend.EndpointStatus(
             self.topic, self.type_name, self.direction, matched, self._messages, self._dropped + losses,
             self._rejected + self._unfit(), self._failed, self._last_ns, reason, code, late,
         )  # fmt: skip
@@ -278,7 +274,7 @@ class BaseSubscription(BaseEndpoint):
     peer_does = "publishes"
     kind = "subscription"
 
-    def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
+    def __init__(self, on_message: backend.OnMessage, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._on_message = on_message
 
@@ -355,7 +351,7 @@ class KeepingServer(BaseEndpoint):
     serves = True
     remembers = False
 
-    def __init__(self, on_request: OnRequest, *arguments: Any) -> None:
+    def __init__(self, on_request: backend.OnRequest, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._on_request = on_request
         self._callers: OrderedDict[bytes, Any] = OrderedDict()
@@ -430,8 +426,8 @@ class KeepingServer(BaseEndpoint):
 
 
 _call_numbers = itertools.count(1)  # of this process: a client that is opened again repeats none
-NO_SERVER = Reply(None, "not executed", Reason.NO_SERVER, "no server is known that can be called")
-SERVER_GONE = Reply(None, "fate unknown", Reason.SERVER_GONE, "the server has gone")
+NO_SERVER = backend.Reply(None, "not executed", Reason.NO_SERVER, "no server is known that can be called")
+SERVER_GONE = backend.Reply(None, "fate unknown", Reason.SERVER_GONE, "the server has gone")
 
 
 class BaseClient(BaseEndpoint):
@@ -444,7 +440,7 @@ class BaseClient(BaseEndpoint):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.calls: dict[int, tuple[OnReply, Any]] = {}
+        self.calls: dict[int, tuple[backend.OnReply, Any]] = {}
         self._after = 0  # responses to calls that are not open any more
 
     @property
@@ -452,7 +448,7 @@ class BaseClient(BaseEndpoint):
         """Whether a matching server is known now whose responses can be read."""
         return self.matched > 0
 
-    def end(self, number: int, reply: Reply) -> None:
+    def end(self, number: int, reply: backend.Reply) -> None:
         """End a call, unless it has ended or is forgotten; nothing that the receiver raises escapes."""
         with self._delivering:
             with self._lock:
@@ -468,11 +464,11 @@ class BaseClient(BaseEndpoint):
         """Return the servers that a request would reach now (:meth:`gone`); none if it must not be sent."""
         raise NotImplementedError
 
-    def _send(self, number: int, payload: bytes) -> Reply | None:
+    def _send(self, number: int, payload: bytes) -> backend.Reply | None:
         """Send a request, without the lock; return how the call has ended if it was not sent."""
         raise NotImplementedError
 
-    def call(self, payload: bytes, on_reply: OnReply) -> int:
+    def call(self, payload: bytes, on_reply: backend.OnReply) -> int:
         """Send a request; see :meth:`rosplc.ros.backend.ServiceClient.call`."""
         data = self._checked(payload)
         with self._lock:
@@ -523,7 +519,7 @@ class BaseClient(BaseEndpoint):
         super().close()
         with self._delivering:
             for number in tuple(self.calls):
-                self.end(number, Reply(None, "fate unknown", Reason.NONE, "the client was closed"))
+                self.end(number, backend.Reply(None, "fate unknown", Reason.NONE, "the client was closed"))
 
 
 class Opener:
@@ -531,23 +527,23 @@ class Opener:
 
     _kinds: tuple[Any, ...]  # the classes of its subscriptions, publishers, servers and clients
 
-    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
+    def _open(self, kind: Any, topic: str, type_name: str, qos: backend.Qos, *receiver: Any) -> Any:
         """Open an endpoint of one of these classes, and keep it."""
         raise NotImplementedError
 
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Any:
+    def subscribe(self, topic: str, type_name: str, qos: backend.Qos, on_message: backend.OnMessage) -> Any:
         """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
         return self._open(self._kinds[0], topic, type_name, qos, on_message)
 
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> Any:
+    def advertise(self, topic: str, type_name: str, qos: backend.Qos) -> Any:
         """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
         return self._open(self._kinds[1], topic, type_name, qos)
 
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> Any:
+    def serve(self, service: str, type_name: str, qos: backend.Qos, on_request: backend.OnRequest) -> Any:
         """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
         return self._open(self._kinds[2], service, type_name, qos, on_request)
 
-    def client(self, service: str, type_name: str, qos: Qos) -> Any:
+    def client(self, service: str, type_name: str, qos: backend.Qos) -> Any:
         """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
         return self._open(self._kinds[3], service, type_name, qos)
 
@@ -606,7 +602,7 @@ class BaseNode(Opener):
             if endpoint in self._endpoints:
                 self._endpoints.remove(endpoint)
 
-    def status(self) -> tuple[EndpointStatus, ...]:
+    def status(self) -> tuple[backend.EndpointStatus, ...]:
         """Return the state of all endpoints."""
         return tuple(endpoint.status() for endpoint in self.endpoints())
 

@@ -17,17 +17,6 @@ from typing import Any
 
 from rosplc.model import TypeStore
 from rosplc.ros import _base
-from rosplc.ros._base import (
-    BaseClient,
-    BaseEndpoint,
-    BaseNode,
-    BasePublisher,
-    Context,
-    KeepingServer,
-    Problem,
-    Queued,
-    QueuedSubscription,
-)
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos, Reply
 
 _domains: dict[int, list[MemoryBackend]] = {}
@@ -35,7 +24,7 @@ _unnamed = itertools.count(1 << 20)  # domains that no configuration has
 _graph = threading.RLock()  # guards _domains and every list of endpoints: one small graph, one lock
 
 
-class _Endpoint(BaseEndpoint):
+class _Endpoint(_base.BaseEndpoint):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._lock = _graph
@@ -71,7 +60,7 @@ class _Endpoint(BaseEndpoint):
             super().close()
 
 
-class MemorySubscription(QueuedSubscription, _Endpoint):
+class MemorySubscription(_base.QueuedSubscription, _Endpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`."""
 
     def put(self, payload: bytes, stamp_ns: int) -> None:
@@ -80,7 +69,7 @@ class MemorySubscription(QueuedSubscription, _Endpoint):
         self._node.news.set()
 
 
-class MemoryPublisher(BasePublisher, _Endpoint):
+class MemoryPublisher(_base.BasePublisher, _Endpoint):
     """A topic being sent; see :class:`rosplc.ros.backend.Publisher`."""
 
     def __init__(self, *arguments: Any) -> None:
@@ -103,10 +92,10 @@ class MemoryPublisher(BasePublisher, _Endpoint):
         return True
 
 
-class MemoryServer(Queued, KeepingServer, _Endpoint):
+class MemoryServer(_base.Queued, _base.KeepingServer, _Endpoint):
     """A service that is served; see :class:`rosplc.ros.backend.ServiceServer`."""
 
-    _take = KeepingServer._take
+    _take = _base.KeepingServer._take
 
     def put(self, *request: Any) -> None:
         """Queue a request: payload, caller, stamp and client. The graph's lock is held."""
@@ -130,10 +119,10 @@ class MemoryServer(Queued, KeepingServer, _Endpoint):
             client.gone(self)
 
 
-class MemoryClient(Queued, BaseClient, _Endpoint):
+class MemoryClient(_base.Queued, _base.BaseClient, _Endpoint):
     """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
 
-    _take = BaseClient.end
+    _take = _base.BaseClient.end
 
     def put(self, number: int, reply: Reply) -> None:
         """Queue a reply."""
@@ -151,7 +140,7 @@ class MemoryClient(Queued, BaseClient, _Endpoint):
                 server.put(payload, caller, self._clock.time_ns(), self)
 
 
-class MemoryBackend(BaseNode):
+class MemoryBackend(_base.BaseNode):
     """One node of the graph in this process; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "memory"
@@ -159,7 +148,7 @@ class MemoryBackend(BaseNode):
     ros1 = None
     logger = logging.getLogger("rosplc.ros.memory")
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: _base.Context) -> None:
         super().__init__(context)
         self.domain = domain = _base.domain_number(context.domain, context.environment) or 0
         self.plain = context.store.distro == "noetic"  # ROS 1's bytes do not show whether they fit a type
@@ -174,7 +163,7 @@ class MemoryBackend(BaseNode):
             self.news.wait()
             self.news.clear()
             for endpoint in self.endpoints():
-                while isinstance(endpoint, Queued) and endpoint.deliver_next():
+                while isinstance(endpoint, _base.Queued) and endpoint.deliver_next():
                     pass
 
     def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
@@ -189,7 +178,7 @@ class MemoryBackend(BaseNode):
                         endpoint.put(*message)
         return endpoint
 
-    def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[Problem]]:
+    def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[_base.Problem]]:
         with _graph:
             others = endpoint.others()
             problems = [_base.explain(other.info, endpoint) for other in others]

@@ -26,16 +26,7 @@ from textual.strip import Strip
 
 from rosplc.harmless import one_line, shorten
 from rosplc.levels import Level
-from rosplc.monitor.picture import (
-    ALL_WELL,
-    ChannelView,
-    age_text,
-    count_text,
-    plc_text,
-    rate_text,
-    state_text,
-    way_text,
-)
+from rosplc.monitor import picture
 
 _COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
 # Without colours a red would become a grey that is hard to read.
@@ -53,9 +44,9 @@ def plain(text: str, style: str = "") -> Text:
     return Text(one_line(text), style=style, no_wrap=True, end="")
 
 
-def state_cell(view: ChannelView) -> Text:
+def state_cell(view: picture.ChannelView) -> Text:
     """Return mark and word of a channel's state, in its level's colour."""
-    return Text(state_text(view), style=LEVEL_STYLES[view.state.level], no_wrap=True, end="")
+    return Text(picture.state_text(view), style=LEVEL_STYLES[view.state.level], no_wrap=True, end="")
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
@@ -64,7 +55,7 @@ def _natural(text: str) -> list[tuple[int, str]]:
 
 
 # The first look at a figure is for what stands out, so that figures begin with the largest.
-ORDERS: dict[str, tuple[bool, Callable[[ChannelView], Any]]] = {
+ORDERS: dict[str, tuple[bool, Callable[[picture.ChannelView], Any]]] = {
     "topic": (False, lambda view: (view.prefix, _natural(view.label))),
     "state": (True, lambda view: view.state.severity),
     "rate": (True, lambda view: view.rate_hz or 0.0),
@@ -96,15 +87,15 @@ class Sorting:
         names = list(ORDERS)
         return replace(self, by=names[(names.index(self.by) + 1) % len(names)], reverse=False)
 
-    def of(self, channels: Iterable[ChannelView]) -> list[ChannelView]:
+    def of(self, channels: Iterable[picture.ChannelView]) -> list[picture.ChannelView]:
         """Return the channels that are wanted, in order; equal ones stay in theirs."""
         words = self.words.casefold().split()
         found = [view for view in channels if self._wanted(view, words)]
         largest_first, key = ORDERS[self.by]
         return sorted(found, key=key, reverse=largest_first != self.reverse)
 
-    def _wanted(self, view: ChannelView, words: list[str]) -> bool:
-        if self.wrong and view.state in ALL_WELL:
+    def _wanted(self, view: picture.ChannelView, words: list[str]) -> bool:
+        if self.wrong and view.state in picture.ALL_WELL:
             return False
         text = " ".join((view.label, view.type_name, view.bridge, view.prefix, view.state.value)).casefold()
         return all(word in text for word in words)
@@ -125,19 +116,19 @@ class Column:
     title: str
     width: int
     from_width: int
-    text: Callable[[ChannelView], str]
+    text: Callable[[picture.ChannelView], str]
     figure: bool = False
 
 
 _COLUMNS = (
-    Column("state", "  state", 12, 0, state_text),
+    Column("state", "  state", 12, 0, picture.state_text),
     Column("topic", "topic", 0, 0, lambda view: view.label),
-    Column("way", "way", 5, 72, way_text),
-    Column("rate", "per s", 6, 0, lambda view: rate_text(view.rate_hz), True),
-    Column("age", "age", 6, 0, lambda view: age_text(view.age_ns), True),
-    Column("lost", "lost", 5, 0, lambda view: count_text(view.lost), True),
-    Column("refused", "refd", 5, 0, lambda view: count_text(view.refused), True),
-    Column("PLC", "PLC", 5, 0, plc_text),
+    Column("way", "way", 5, 72, picture.way_text),
+    Column("rate", "per s", 6, 0, lambda view: picture.rate_text(view.rate_hz), True),
+    Column("age", "age", 6, 0, lambda view: picture.age_text(view.age_ns), True),
+    Column("lost", "lost", 5, 0, lambda view: picture.count_text(view.lost), True),
+    Column("refused", "refd", 5, 0, lambda view: picture.count_text(view.refused), True),
+    Column("PLC", "PLC", 5, 0, picture.plc_text),
     Column("bridge", "bridge", 20, 100, lambda view: f"{view.prefix}: {view.bridge}"),
     Column("type", "type", 30, 132, lambda view: view.type_name),
 )
@@ -150,7 +141,7 @@ def columns_for(width: int) -> list[tuple[Column, int]]:
     return [(column, column.width or max(_LEAST_TOPIC, rest)) for column in shown]
 
 
-def fitted(column: Column, width: int, view: ChannelView) -> str:
+def fitted(column: Column, width: int, view: picture.ChannelView) -> str:
     """Return a channel's text in exactly ``width`` cells; what is too long is shortened in the middle."""
     text = whole = one_line(column.text(view))
     size = width
@@ -201,16 +192,16 @@ class ChannelTable(ScrollView, can_focus=True):
 
     def __init__(self) -> None:
         super().__init__()
-        self._views: list[ChannelView] = []
+        self._views: list[picture.ChannelView] = []
         self._sorting = Sorting()
         self._row = 0
 
     @property
-    def chosen(self) -> ChannelView | None:
+    def chosen(self) -> picture.ChannelView | None:
         """The channel under the cursor; None if there are no channels."""
         return self._views[self._row] if self._row < len(self._views) else None
 
-    def show(self, channels: list[ChannelView], order: Sorting) -> None:
+    def show(self, channels: list[picture.ChannelView], order: Sorting) -> None:
         """Show channels, which are in this order."""
         chosen = self.chosen
         self._views, self._sorting = channels, order
