@@ -32,37 +32,12 @@ if TYPE_CHECKING:
     from rosplc.shm import Direction, SlotInfo
 
 __all__ = [
-    "BackendError",
-    "Binding",
-    "Channel",
-    "ChannelError",
-    "CodecError",
-    "ConfigError",
-    "ConfigErrors",
-    "Delivery",
-    "Direction",
-    "GenerationError",
-    "LayoutError",
-    "MessageTypeError",
-    "ObjectState",
-    "Project",
-    "RecordView",
-    "RecordingError",
-    "RosplcError",
-    "SetupError",
-    "SlotInfo",
-    "WebError",
-    "__version__",
-    "attach",
-    "bind",
-    "bind_action",
-    "bind_service",
-    "check",
-    "generate",
-    "include_dir",
-    "load_project",
+    "BackendError", "Binding", "Channel", "ChannelError", "CodecError", "ConfigError", "ConfigErrors",
+    "Delivery", "Direction", "GenerationError", "LayoutError", "MessageTypeError", "ObjectState", "Project",
+    "RecordView", "RecordingError", "RosplcError", "SetupError", "SlotInfo", "WebError", "__version__",
+    "attach", "bind", "bind_action", "bind_service", "check", "generate", "include_dir", "load_project",
     "topics",
-]
+]  # fmt: skip
 
 # Loaded on first use: every module of rosplc imports this one, and most need none of these.
 _HOME = {

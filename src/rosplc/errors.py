@@ -15,21 +15,10 @@ from functools import partial
 from typing import ClassVar
 
 __all__ = [
-    "CODES",
-    "LONGEST_TEXT",
-    "BackendError",
-    "ChannelError",
-    "CodeInfo",
-    "CodecError",
-    "ConfigError",
-    "GenerationError",
-    "LayoutError",
-    "MessageTypeError",
-    "RecordingError",
-    "RosplcError",
-    "SetupError",
+    "CODES", "LONGEST_TEXT", "BackendError", "ChannelError", "CodeInfo", "CodecError", "ConfigError",
+    "GenerationError", "LayoutError", "MessageTypeError", "RecordingError", "RosplcError", "SetupError",
     "WebError",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

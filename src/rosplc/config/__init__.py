@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from rosplc.config.file import Config as Config
-from rosplc.config.file import json_schema as json_schema
-from rosplc.config.file import parse_config as parse_config
-from rosplc.config.file import read_config as read_config
-from rosplc.config.resolve import Project as Project
-from rosplc.config.resolve import TopicPlan as TopicPlan
-from rosplc.config.resolve import load_config as load_config
-from rosplc.config.resolve import load_project as load_project
-from rosplc.config.resolve import resolve as resolve
-from rosplc.config.yaml_source import ConfigErrors as ConfigErrors
+from rosplc.config.file import Config, json_schema, parse_config, read_config
+from rosplc.config.resolve import Project, TopicPlan, load_config, load_project, resolve
+from rosplc.config.yaml_source import ConfigErrors
+
+__all__ = [
+    "Config", "ConfigErrors", "Project", "TopicPlan", "json_schema", "load_config", "load_project",
+    "parse_config", "read_config", "resolve",
+]  # fmt: skip

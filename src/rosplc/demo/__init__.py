@@ -4,3 +4,5 @@ The robot speaks real DDS and knows nothing of PLCs; the virtual PLC knows nothi
 Every message carries a number and a checksum of its contents, so that what is lost or
 torn on the way is counted from the messages themselves.
 """
+
+__all__: list[str] = []

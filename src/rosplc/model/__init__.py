@@ -1,11 +1,17 @@
 """ROS messages, services and actions: bundled with a distribution, custom, or from a self-description."""
 
-from rosplc.model.store import DISTROS as DISTROS
-from rosplc.model.store import TypeStore as TypeStore
-from rosplc.model.types import ArrayType as ArrayType
-from rosplc.model.types import FieldType as FieldType
-from rosplc.model.types import MessageType as MessageType
-from rosplc.model.types import NamedType as NamedType
-from rosplc.model.types import PrimitiveType as PrimitiveType
-from rosplc.model.types import SequenceType as SequenceType
-from rosplc.model.types import StringType as StringType
+from rosplc.model.store import DISTROS, TypeStore
+from rosplc.model.types import (
+    ArrayType,
+    FieldType,
+    MessageType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+)
+
+__all__ = [
+    "DISTROS", "ArrayType", "FieldType", "MessageType", "NamedType", "PrimitiveType", "SequenceType",
+    "StringType", "TypeStore",
+]  # fmt: skip

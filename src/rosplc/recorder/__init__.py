@@ -3,15 +3,15 @@
 import warnings
 from typing import Any
 
-from rosplc.recorder.inlet import Selection as Selection
-from rosplc.recorder.mcap_file import COMPRESSIONS as COMPRESSIONS
-from rosplc.recorder.mcap_file import Compression as Compression
-from rosplc.recorder.recorder import Progress as Progress
-from rosplc.recorder.recorder import Recorder as Recorder
-from rosplc.recorder.recorder import RecordingOptions as RecordingOptions
-from rosplc.recorder.recorder import Result as Result
-from rosplc.recorder.recorder import quick_process as quick_process
-from rosplc.recorder.store import Split as Split
+from rosplc.recorder.inlet import Selection
+from rosplc.recorder.mcap_file import COMPRESSIONS, Compression
+from rosplc.recorder.recorder import Progress, Recorder, RecordingOptions, Result, quick_process
+from rosplc.recorder.store import Split
+
+__all__ = [
+    "COMPRESSIONS", "Compression", "Progress", "Recorder", "RecordingOptions", "Result", "Selection",
+    "Split", "quick_process",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

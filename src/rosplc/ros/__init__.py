@@ -8,42 +8,43 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros.actionlib import ActionlibClient, ActionlibServer
-from rosplc.ros.actions import ActionClient as ActionClient
-from rosplc.ros.actions import ActionServer as ActionServer
-from rosplc.ros.actions import GoalEvent as GoalEvent
-from rosplc.ros.actions import GoalStatus as GoalStatus
-from rosplc.ros.arguments import Remapping as Remapping
-from rosplc.ros.arguments import RosArguments as RosArguments
-from rosplc.ros.arguments import split_arguments as split_arguments
-from rosplc.ros.backend import DEFAULT as DEFAULT
-from rosplc.ros.backend import LATCHED as LATCHED
-from rosplc.ros.backend import PRESETS as PRESETS
-from rosplc.ros.backend import SENSOR_DATA as SENSOR_DATA
-from rosplc.ros.backend import SERVICES as SERVICES
-from rosplc.ros.backend import Backend as Backend
-from rosplc.ros.backend import Endpoint as Endpoint
-from rosplc.ros.backend import EndpointInfo as EndpointInfo
-from rosplc.ros.backend import EndpointStatus as EndpointStatus
-from rosplc.ros.backend import GraphInfo as GraphInfo
-from rosplc.ros.backend import OnMessage as OnMessage
-from rosplc.ros.backend import OnReply as OnReply
-from rosplc.ros.backend import OnRequest as OnRequest
-from rosplc.ros.backend import Publisher as Publisher
-from rosplc.ros.backend import Qos as Qos
-from rosplc.ros.backend import Reply as Reply
-from rosplc.ros.backend import ServiceClient as ServiceClient
-from rosplc.ros.backend import ServiceServer as ServiceServer
-from rosplc.ros.backend import Subscription as Subscription
-from rosplc.ros.backend import TypeSource as TypeSource
-from rosplc.ros.backend import ended_for_good as ended_for_good
-from rosplc.ros.backend import incompatibility as incompatibility
-from rosplc.ros.backend import settled_graph as settled_graph
-from rosplc.ros.choice import BACKENDS as BACKENDS
-from rosplc.ros.choice import INSTALL as INSTALL
-from rosplc.ros.choice import ROS1 as ROS1
-from rosplc.ros.choice import Choice as Choice
-from rosplc.ros.choice import choose as choose
-from rosplc.ros.choice import load
+from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent, GoalStatus
+from rosplc.ros.arguments import Remapping, RosArguments, split_arguments
+from rosplc.ros.backend import (
+    DEFAULT,
+    LATCHED,
+    PRESETS,
+    SENSOR_DATA,
+    SERVICES,
+    Backend,
+    Endpoint,
+    EndpointInfo,
+    EndpointStatus,
+    GraphInfo,
+    OnMessage,
+    OnReply,
+    OnRequest,
+    Publisher,
+    Qos,
+    Reply,
+    ServiceClient,
+    ServiceServer,
+    Subscription,
+    TypeSource,
+    ended_for_good,
+    incompatibility,
+    settled_graph,
+)
+from rosplc.ros.choice import BACKENDS, INSTALL, ROS1, Choice, choose, load
+
+__all__ = [
+    "BACKENDS", "DEFAULT", "INSTALL", "LATCHED", "PRESETS", "ROS1", "SENSOR_DATA", "SERVICES",
+    "ActionClient", "ActionServer", "Backend", "Choice", "Endpoint", "EndpointInfo", "EndpointStatus",
+    "GoalEvent", "GoalStatus", "GraphInfo", "OnMessage", "OnReply", "OnRequest", "Publisher", "Qos",
+    "Remapping", "Reply", "RosArguments", "ServiceClient", "ServiceServer", "Subscription", "TypeSource",
+    "action_classes", "choose", "ended_for_good", "incompatibility", "open_backend", "settled_graph",
+    "split_arguments",
+]  # fmt: skip
 
 
 def open_backend(

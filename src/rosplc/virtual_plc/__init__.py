@@ -5,17 +5,6 @@ from rosplc.virtual_plc.call_blocks import ActionClient, ActionServer, ServiceCl
 from rosplc.virtual_plc.task import CycleStats, Program, Task, TaskState, VirtualPlc
 
 __all__ = [
-    "ActionClient",
-    "ActionServer",
-    "CycleStats",
-    "Message",
-    "OnStale",
-    "Program",
-    "ReadBlock",
-    "ServiceClient",
-    "ServiceServer",
-    "Task",
-    "TaskState",
-    "VirtualPlc",
-    "WriteBlock",
-]
+    "ActionClient", "ActionServer", "CycleStats", "Message", "OnStale", "Program", "ReadBlock",
+    "ServiceClient", "ServiceServer", "Task", "TaskState", "VirtualPlc", "WriteBlock",
+]  # fmt: skip
