@@ -62,6 +62,8 @@ class Rosout(logging.Handler):
 
     def send(self) -> None:
         """Send the lines that wait. The first failure in a row is logged, but not here."""
+        if self._sender:  # a thread that was left behind hangs in the ROS side
+            return
         self._sender = threading.get_ident()
         try:
             if count := self._left_out:

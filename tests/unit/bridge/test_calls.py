@@ -70,6 +70,7 @@ class Ros:
 
     capabilities: frozenset[str] = frozenset({"services"})
     name: str = "fake"
+    node: str = "/fake"
     remembers: bool = True
     matched: int = 1
     ready: bool = True

@@ -31,7 +31,7 @@ def test_a_hanging_ros_side_is_noticed_and_forgotten(cell: Cell, monkeypatch: py
     with monkeypatch.context() as patch:
         patch.setattr(MemoryPublisher, "write", lambda *_: go_on.wait(60) and None)
         outgoing.write({"data": 1})
-        wait_for(lambda: "towards ROS stands still" in bridge.stuck(SHORT_NS))
+        wait_for(lambda: "towards ROS has been stuck" in bridge.stuck(SHORT_NS))
         assert bridge.stuck(LONG_NS) == ""
         go_on.set()
     wait_for(lambda: "towards ROS" not in bridge.stuck(SHORT_NS))
@@ -43,6 +43,6 @@ def test_a_hanging_keeper_is_noticed(cell: Cell, monkeypatch: pytest.MonkeyPatch
     go_on = threading.Event()
     for stream in bridge._streams:
         monkeypatch.setattr(stream, "check", lambda *_: go_on.wait(60) and False)
-    wait_for(lambda: "that beats stands still" in bridge.stuck(SHORT_NS))
+    wait_for(lambda: "that beats has been stuck" in bridge.stuck(SHORT_NS))
     go_on.set()
     wait_for(lambda: "that beats" not in bridge.stuck(2_000_000_000))

@@ -162,6 +162,8 @@ def test_nobody_who_logs_waits_for_ros(rosout: tuple[Rosout, Failing]) -> None:
     wait_for(lambda: publisher.writes == 1)
     for number in range(1200):
         LOGGER.warning("line %d", number)
+    handler.send()  # as a stopping bridge does
+    assert publisher.writes == 1
     sent: list[str] = []
     publisher.proceed.set()
     thread.join()
