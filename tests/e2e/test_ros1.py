@@ -7,6 +7,7 @@ import os
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,6 +15,8 @@ from typing import Any
 
 import pytest
 
+from rosplc.config.transforms import TransformError
+from rosplc.ros import Qos
 from tests.e2e.cell import Bridge, Plc
 from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import PART, part_defines, string
@@ -219,3 +222,38 @@ def test_rosnode_kill_ends_the_program(ros1: Graph, tmp_path: Path, shm_prefix: 
         assert "error ROS015" in bridge.log.read_text()
     finally:
         bridge.kill()
+
+
+@pytest.mark.needs("python3-tf2-msgs")
+def test_transforms_of_rospy_nodes(ros1: Graph, tmp_path: Path, shm_prefix: str) -> None:
+    """Latched static transforms of two nodes from before, and a moving one, are a pose in the PLC."""
+
+    def link(child: str, parent: str, stamp_ns: int = 0) -> bytes:
+        head = struct.pack("<4I", 1, 7, *divmod(stamp_ns, 10**9))
+        return head + string(parent) + string(child) + struct.pack("<7d", 1, 0, 0, 0, 0, 0, 1)
+
+    kind, latched = "tf2_msgs/TFMessage", Qos(durability="transient_local", depth=1)
+    for number, pair in enumerate((("tool", "/flange"), ("arm", "base"))):
+        ros1.peer("rospy", f"static{number}").advertise("/tf_static", kind, latched).write(link(*pair))
+    moving = ros1.peer("rospy", "robot")
+    said = moving.advertise("/tf", kind)
+    path, pose = tmp_path / "rosplc.yaml", "/transforms/tool"
+    path.write_text(
+        f"prefix: {shm_prefix}\nros: {{backend: rospy, distro: noetic}}\n"
+        "transforms: {tool: {target: base, source: tool, rate: 100Hz}}\n"
+    )
+    bridge = Bridge(path, ros1.variables)
+    try:
+        plc = Plc(shm_prefix, (pose,), ())
+
+        def newest(error: TransformError) -> bool:
+            return bool(plc.seen[pose]) and plc.seen[pose][-1]["error"] == error
+
+        plc.until(lambda: newest(TransformError.NOT_CONNECTED) and moving.matched("/tf"))
+        assert plc.seen[pose][-1]["frame"] == "flange"
+        said.write(link("flange", "arm", time.time_ns()))
+        plc.until(lambda: newest(TransformError.NONE))
+        assert plc.seen[pose][-1]["transform"]["translation"]["x"] == 3.0
+        plc.until(lambda: newest(TransformError.TOO_OLD))
+    finally:
+        assert bridge.stop() == 0, bridge.log.read_text()
