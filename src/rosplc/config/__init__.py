@@ -1,7 +1,5 @@
 """A configuration file becomes validated settings and a plan for each topic."""
 
-from __future__ import annotations
-
 from rosplc.config.file import Config, json_schema, parse_config, read_config
 from rosplc.config.resolve import Project, TopicPlan, load_config, load_project, resolve
 from rosplc.config.yaml_source import ConfigErrors

@@ -1,7 +1,5 @@
 """Read-only looks at running channels, for people and for tools."""
 
-from __future__ import annotations
-
 from rosplc.monitor.classic import Expectation, Expected
 from rosplc.monitor.message import Message, numbers
 from rosplc.monitor.picture import BridgeView, CallView, ChannelView, Event, Picture, ReaderView, State

@@ -4,8 +4,6 @@ A bridge opens an :class:`OwnedChannel`; everybody else uses :func:`attach`. Thi
 bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`rosplc.codec`.
 """
 
-from __future__ import annotations
-
 from rosplc._core import Group, Reader, Region, SlotInfo, Writer, distance
 from rosplc.shm.attach import Attached, Liveness, Peer, ReaderClaim, WriterClaim, attach, open_object
 from rosplc.shm.calls import Answerer, Caller, GoalNotes

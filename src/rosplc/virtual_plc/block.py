@@ -14,23 +14,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Literal, NoReturn
 
+from rosplc import shm
 from rosplc.described import described_layout, layout_of
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.layout.nodes import StructNode
-from rosplc.shm import (
-    Attached,
-    Direction,
-    Namespace,
-    Part,
-    Peer,
-    Reader,
-    ReaderClaim,
-    SlotInfo,
-    Writer,
-    WriterClaim,
-    attach,
-)
 from rosplc.shm.constants import STAMP_PLC, UNKNOWN, WRITER_LINE, ErrorNumber
 from rosplc.virtual_plc.task import Scan, current_scan
 
@@ -108,7 +96,12 @@ class Block(_Instance):
     """
 
     def __init__(
-        self, topic: str, namespace: Namespace, direction: Direction, layout: Layout | None, beat_ms: int
+        self,
+        topic: str,
+        namespace: shm.Namespace,
+        direction: shm.Direction,
+        layout: Layout | None,
+        beat_ms: int,
     ) -> None:
         super().__init__()
         self.topic = topic
@@ -116,15 +109,15 @@ class Block(_Instance):
         self.udiSequence = 0
         self.layout = self._compiled = layout
         self._namespace, self._direction = namespace, direction
-        self._part, self._client = Part.TOPIC, ""
-        self._attached: Attached | None = None
+        self._part, self._client = shm.Part.TOPIC, ""
+        self._attached: shm.Attached | None = None
         self._failure: tuple[int, str] = (ErrorNumber.NO_OBJECT.value, "")  # 0 while the object is open
         self._opened_times = 0
         self._map_writable = True
         self._delay_ns = self._due_ns = 0  # of the next attempt to open
         self._beat_ms = beat_ms
         self._opened = 0
-        self._peer = Peer()
+        self._peer = shm.Peer()
 
     def _report_silence(self) -> None:
         if self.udiError == 0 and self._peer.silent:
@@ -132,7 +125,7 @@ class Block(_Instance):
 
     # -- the way to the object
 
-    def _follow(self, scan: Scan) -> Attached | None:
+    def _follow(self, scan: Scan) -> shm.Attached | None:
         """Return the object if it is open and still valid; else try once to open it. Nothing is raised."""
         if self._attached is not None:
             try:
@@ -196,7 +189,7 @@ class Block(_Instance):
     def _open(self) -> None:
         compiled = self._compiled
         try:
-            attached = attach(
+            attached = shm.attach(
                 self._namespace,
                 self.topic,
                 direction=self._direction,
@@ -205,7 +198,7 @@ class Block(_Instance):
                 client=self._client,
             )
         except ChannelError as error:
-            if error.code == "SHM102" and self._direction is Direction.TO_PLC:
+            if error.code == "SHM102" and self._direction is shm.Direction.TO_PLC:
                 # A reader needs no rights to write; without them it only has no reader line.
                 self._map_writable = False
             raise
@@ -221,7 +214,7 @@ class Block(_Instance):
         self._opened_times += 1
         self._delay_ns = self._due_ns = 0
 
-    def _compare(self, attached: Attached, compiled: Layout) -> None:
+    def _compare(self, attached: shm.Attached, compiled: Layout) -> None:
         found = attached.identity.layout_id
         if found == compiled.layout_id and attached.identity.record_size == compiled.size:
             return
@@ -307,7 +300,7 @@ class ReadBlock(Block):
             raise ValueError(f"{topic}: max_per_cycle must be at least 1")
         if (on_stale == "value") != (stale_value is not None):
             raise ValueError(f'{topic}: on_stale="value" and stale_value go together')
-        super().__init__(topic, Namespace(prefix, directory), Direction.TO_PLC, layout, beat_ms)
+        super().__init__(topic, shm.Namespace(prefix, directory), shm.Direction.TO_PLC, layout, beat_ms)
         self.xValid = self.xNew = False
         self.xFirst = self.xTruncated = self.xSubstituted = self.xRecovered = False
         self.xSourcePresent = False
@@ -316,7 +309,7 @@ class ReadBlock(Block):
         self.udiSources: int | None = None
         self.age = 0.0
         self.msg: RecordView | None = None
-        self.info: SlotInfo | None = None
+        self.info: shm.SlotInfo | None = None
         self._stale_after_ns = None if stale_after is None else round(stale_after * 1e9)
         self._on_stale = on_stale
         self._stale_value = stale_value
@@ -324,8 +317,8 @@ class ReadBlock(Block):
         self._every = mode == "every"
         self._max_per_cycle = max_per_cycle
         self._latched = latched
-        self._claim: ReaderClaim | None = None
-        self._reader: Reader | None = None
+        self._claim: shm.ReaderClaim | None = None
+        self._reader: shm.Reader | None = None
         self._shadow = bytearray()
         self._record = bytearray()
         self._ever_new = False
@@ -395,7 +388,7 @@ class ReadBlock(Block):
         self._judge_age(scan)
         return self.xNew
 
-    def _adopt(self, attached: Attached, scan: Scan) -> None:
+    def _adopt(self, attached: shm.Attached, scan: Scan) -> None:
         layout = self.layout
         assert layout is not None  # an open link has one
         latched = self._latched and self._opened == 0
@@ -403,9 +396,9 @@ class ReadBlock(Block):
         # The line is for people who ask who reads; reading itself does not depend on it.
         self._claim = None
         if attached.region.writable:
-            self._claim = ReaderClaim(attached.region, self._reader, self._beat_ms, scan.task, range(4))
+            self._claim = shm.ReaderClaim(attached.region, self._reader, self._beat_ms, scan.task, range(4))
         self._opened = self._opened_times
-        self._peer = Peer()
+        self._peer = shm.Peer()
         if self.msg is None or len(self._record) != layout.size:
             self._use_layout(layout)
         if not latched:
@@ -423,7 +416,7 @@ class ReadBlock(Block):
         value = self._stale_value
         self._stale_record = bytes(layout.size) if value is None else bytes(layout.pack(value))
 
-    def _take(self, reader: Reader, scan: Scan) -> bool:
+    def _take(self, reader: shm.Reader, scan: Scan) -> bool:
         if self._every and self.uiTaken >= self._max_per_cycle:
             return False
         info = reader.next(self._shadow) if self._every else reader.latest(self._shadow)
@@ -442,13 +435,13 @@ class ReadBlock(Block):
         self._since_ns = scan.now_ns
         return True
 
-    def _show(self, info: SlotInfo) -> None:
+    def _show(self, info: shm.SlotInfo) -> None:
         # Only a copy that passed the re-check reaches msg (shadow, spec M12).
         self._record[:] = self._shadow
         self.info, self.udiSequence, self.xValid = info, info.sequence, True
         self.xFirst, self.xTruncated, self.xSubstituted = (bool(info.flags & bit) for bit in (1, 2, 4))
 
-    def _watch(self, attached: Attached, scan: Scan) -> None:
+    def _watch(self, attached: shm.Attached, scan: Scan) -> None:
         state = attached.snapshot().writer
         peer = self._peer
         peer.observe(state.beat, state.head, state.beat_ms, scan.now_ns)
@@ -603,14 +596,14 @@ class WriteBlock(Block):
         directory: str = "/dev/shm",
         beat_ms: int = 1000,
     ) -> None:
-        super().__init__(topic, Namespace(prefix, directory), Direction.TO_ROS, layout, beat_ms)
+        super().__init__(topic, shm.Namespace(prefix, directory), shm.Direction.TO_ROS, layout, beat_ms)
         self.msg: Any = None if layout is None else Message.initial(layout)
         self.xEnable = False
         self.xReady = self.xPublished = False
         self.udiPublished = self.udiTaken = 0
         self.udiSinks: int | None = None
-        self._claim: WriterClaim | None = None
-        self._writer: Writer | None = None
+        self._claim: shm.WriterClaim | None = None
+        self._writer: shm.Writer | None = None
         self._record = bytearray(0 if layout is None else layout.size)
         self._unfilled = False  # msg was made in this call: what the program filled was another
 
@@ -620,7 +613,7 @@ class WriteBlock(Block):
             self._writer.release()
         self._detach()
         self._writer = self._claim = None
-        self._peer = Peer()
+        self._peer = shm.Peer()
         self.xReady = False
 
     def _run(self, scan: Scan) -> bool:
@@ -643,19 +636,19 @@ class WriteBlock(Block):
         self.xAttached = self._attached is not None
         return self.xPublished
 
-    def _adopt(self, attached: Attached) -> None:
+    def _adopt(self, attached: shm.Attached) -> None:
         layout = self.layout
         assert layout is not None  # an open link has one
         self._opened = self._opened_times
         self._writer = self._claim = None
-        self._peer = Peer()
+        self._peer = shm.Peer()
         self.xReady = False
         if self.msg is None or len(self._record) != layout.size:
             self._record = bytearray(layout.size)
             self.msg = Message.initial(layout)
             self._unfilled = True
 
-    def _claim_line(self, attached: Attached, scan: Scan) -> None:
+    def _claim_line(self, attached: shm.Attached, scan: Scan) -> None:
         self.xReady = False
         try:
             if self._claim is None:
@@ -671,7 +664,7 @@ class WriteBlock(Block):
             self._claim = None
             self.udiError, self.reason = 0, ""
 
-    def _publish(self, writer: Writer) -> None:
+    def _publish(self, writer: shm.Writer) -> None:
         layout = self.layout
         assert layout is not None
         try:
@@ -696,7 +689,7 @@ class WriteBlock(Block):
         self.xReady = True
         self.udiError, self.reason = 0, ""
 
-    def _watch(self, attached: Attached, scan: Scan) -> None:
+    def _watch(self, attached: shm.Attached, scan: Scan) -> None:
         state = attached.snapshot()
         line = state.readers[0]
         peer = self._peer

@@ -1,7 +1,5 @@
 """ROS 1 without a ROS installation: TCPROS and XML-RPC, as rospy speaks them."""
 
-from __future__ import annotations
-
 from rosplc.ros.rospy.backend import RospyBackend, open_backend
 from rosplc.ros.rospy.wire import WireDefinition, definition_on_wire, save_definition
 

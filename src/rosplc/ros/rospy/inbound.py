@@ -14,17 +14,7 @@ from typing import Any
 
 from rosplc.ros._base import BaseSubscription, Problem
 from rosplc.ros.backend import OnMessage, Qos
-from rosplc.ros.rospy.handshake import (
-    ANY,
-    TIMEOUT_S,
-    Definition,
-    HandshakeError,
-    Topic,
-    connect,
-    connection_info,
-    mismatch,
-    peer_type,
-)
+from rosplc.ros.rospy import handshake
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, call, proxy
 
 _logger = logging.getLogger("rosplc.ros.rospy")
@@ -35,12 +25,13 @@ _REFUSED_NS = 60_000_000_000  # a publisher with another type logs each attempt
 LARGEST_MESSAGE = 1 << 30  # a length beyond this is no message but a stream out of step
 _READ = 65536
 
-ANY_TYPE = Definition(ANY, ANY, "")  # Of a subscriber that takes whatever a topic carries.
+# Of a subscriber that takes whatever a topic carries.
+ANY_TYPE = handshake.Definition(handshake.ANY, handshake.ANY, "")
 
 
 def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
     """Ask a node for a topic; return host and port. Raises UnreachableError, RefusedError: Not its topic."""
-    server = proxy(uri, TIMEOUT_S)
+    server = proxy(uri, handshake.TIMEOUT_S)
     try:
         answer = call(server, "requestTopic", caller, topic, [["TCPROS"]])
     finally:
@@ -52,11 +43,13 @@ def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
     raise UnreachableError(f"its answer is none of ROS: {str(answer)[:200]}")
 
 
-def handshake(
-    place: tuple[str, int], caller: str, topic: str, definition: Definition
+def greet(
+    place: tuple[str, int], caller: str, topic: str, definition: handshake.Definition
 ) -> tuple[socket.socket, dict[str, str]]:
     """Connect as a subscriber; return the connection and the header. Raises OSError, HandshakeError."""
-    return connect(place, {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()})
+    return handshake.connect(
+        place, {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()}
+    )
 
 
 def cut(buffer: bytearray) -> list[bytes]:
@@ -66,7 +59,7 @@ def cut(buffer: bytearray) -> list[bytes]:
         while end - at >= 4:
             length = int.from_bytes(view[at : at + 4], "little")
             if length > LARGEST_MESSAGE:
-                raise HandshakeError(f"a message of {length} bytes is announced")
+                raise handshake.HandshakeError(f"a message of {length} bytes is announced")
             if end - at - 4 < length:
                 break
             found.append(bytes(view[at + 4 : at + 4 + length]))
@@ -111,7 +104,7 @@ class Link:
         """Return what ``rosnode info`` prints of the connection, if it is there."""
         if not self.connected or self._sock is None:
             return []
-        return connection_info(self._sock, self.uri, "i", self._incoming.topic)
+        return handshake.connection_info(self._sock, self.uri, "i", self._incoming.topic)
 
     def _run(self) -> None:
         incoming = self._incoming
@@ -121,7 +114,7 @@ class Link:
                 if self._closing:
                     return
                 place = request(self.uri, incoming.node.node, topic)
-                self._sock, header = handshake(place, incoming.node.node, topic, incoming.definition)
+                self._sock, header = greet(place, incoming.node.node, topic, incoming.definition)
             if self._fits(header, place):
                 self.problem = None
                 self.pause_ns = _RETRY_NS
@@ -132,7 +125,7 @@ class Link:
             self.problem = None
             # It has withdrawn the topic, and the master's list has not followed yet.
             _logger.debug("%s: %s: %s", topic, self.uri, error)
-        except (OSError, UnreachableError, HandshakeError) as error:
+        except (OSError, UnreachableError, handshake.HandshakeError) as error:
             text = f"{getattr(error, 'strerror', None) or error}"
             self.problem = ("", f"the node at {self.uri} publishes {topic}, but {text}")
         except Exception as error:
@@ -152,12 +145,12 @@ class Link:
         incoming = self._incoming
         refusal = header.get("error")
         if refusal is not None:  # ask it, as a subscriber to any type, what it has
-            sock, header = handshake(place, incoming.node.node, incoming.topic, ANY_TYPE)
+            sock, header = greet(place, incoming.node.node, incoming.topic, ANY_TYPE)
             sock.close()
         self.node = header.get("callerid", self.uri)[:256]
         self.latching = header.get("latching") == "1"
         ours = incoming.definition.identity
-        wrong = mismatch(self.node, "publishes", incoming.topic, peer_type(header), ours)
+        wrong = handshake.mismatch(self.node, "publishes", incoming.topic, handshake.peer_type(header), ours)
         if wrong is None and refusal is not None:
             does = f"node {self.node} publishes {incoming.topic}"
             wrong = "ROS002", f"{does}, but refuses this subscriber: {refusal[:300]}"
@@ -172,12 +165,12 @@ class Link:
                 buffer += part
                 if messages := cut(buffer):
                     self._incoming.deliver(messages)
-        except (OSError, HandshakeError) as error:
+        except (OSError, handshake.HandshakeError) as error:
             if not self._closing:
                 _logger.debug("%s: the connection to %s ended: %s", self._incoming.topic, self.node, error)
 
 
-class Incoming(Topic):
+class Incoming(handshake.Topic):
     """One topic that the node receives."""
 
     direction, role = "in", "Subscriber"

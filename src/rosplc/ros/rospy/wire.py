@@ -19,7 +19,7 @@ from rosplc.model import TypeStore
 from rosplc.model.folders import save_definitions, split_definition
 from rosplc.ros.names import resolve_topic
 from rosplc.ros.rospy.handshake import HandshakeError
-from rosplc.ros.rospy.inbound import ANY_TYPE, handshake, request
+from rosplc.ros.rospy.inbound import ANY_TYPE, greet, request
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, is_node_uri, read_address
 
 _CALLER = "/rosplc_types"
@@ -60,7 +60,7 @@ def definition_on_wire(
                 if not is_node_uri(uri):
                     continue
                 try:
-                    sock, header = handshake(request(uri, _CALLER, full), _CALLER, full, ANY_TYPE)
+                    sock, header = greet(request(uri, _CALLER, full), _CALLER, full, ANY_TYPE)
                 except (OSError, UnreachableError, RefusedError, HandshakeError) as error:
                     trouble = f"node {node} publishes {full}, but cannot be asked: {error}"
                     continue
