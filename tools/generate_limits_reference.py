@@ -83,7 +83,7 @@ ROS over Zenoh:
     configuration file of Zenoh's | ros.zenoh.backend.LARGEST_FILE | bytes | ROS013, ROS010
 ROS 1:
     connection header | ros.rospy.handshake.MOST_HEADER | bytes | connection closed
-    message | ros.rospy.inbound.LARGEST_MESSAGE | bytes | connection closed
+    message | ros.rospy.topics.LARGEST_MESSAGE | bytes | connection closed
     answer of a node or master | ros.rospy.master.MOST_ANSWER | bytes | counts as no answer
     call of the node's interface | ros.rospy.slave.MOST_REQUEST | bytes | HTTP 413
     callers at once | ros.rospy.slave.MOST_CALLERS | connections | connection closed

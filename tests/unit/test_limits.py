@@ -288,14 +288,14 @@ def over_zenoh(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
 @beyond(
     "ros.rospy.handshake.MOST_HEADER",
-    "ros.rospy.inbound.LARGEST_MESSAGE",
+    "ros.rospy.topics.LARGEST_MESSAGE",
     "ros.rospy.master.MOST_ANSWER",
     "ros.rospy.slave.MOST_REQUEST",
     "ros.rospy.slave.MOST_CALLERS",
     "ros.rospy.slave.MOST_GREETINGS",
 )
 def over_ros1(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    from rosplc.ros.rospy import handshake, inbound, master, slave
+    from rosplc.ros.rospy import handshake, master, slave, topics
     from rosplc.ros.rospy.master import Address
 
     ours, theirs = socket.socketpair()
@@ -305,7 +305,7 @@ def over_ros1(patch: pytest.MonkeyPatch, folder: Path) -> None:
             handshake.read_header(ours, 60.0)
 
     with pytest.raises(handshake.HandshakeError, match="announced"):
-        inbound.cut(bytearray((inbound.LARGEST_MESSAGE + 1).to_bytes(4, "little")))
+        topics.cut(bytearray((topics.LARGEST_MESSAGE + 1).to_bytes(4, "little")))
 
     patch.setattr(master, "MOST_ANSWER", 1000)
     with _answering(b" " * 2000) as uri, pytest.raises(master.UnreachableError, match="1000 bytes"):

@@ -12,7 +12,7 @@ from xml.parsers.expat import ExpatError
 
 from rosplc.errors import BackendError, MessageTypeError
 from rosplc.model import TypeStore
-from rosplc.ros.rospy import inbound, slave, wire
+from rosplc.ros.rospy import slave, topics, wire
 from rosplc.ros.rospy.handshake import (
     Definition,
     HandshakeError,
@@ -115,14 +115,14 @@ def _answer(data: bytes) -> None:
 def _publishers(master: Master) -> None:
     node = SimpleNamespace(turn=nullcontext(), uri="http://n:1")
     definition = Definition("std_msgs/msg/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
-    incoming = inbound.Incoming(node, "/t", definition)
+    incoming = topics.Incoming(node, "/t", definition)
     incoming.register(master)
     assert all(isinstance(uri, str) for uri in incoming.publishers)
 
 
 def _request(value: Any) -> None:
-    setattr(inbound, "proxy", lambda *_: _Closing(value))  # noqa: B010 - a name that it has imported
-    host, port = inbound.request("http://n:1", "/n", "/t")
+    setattr(topics, "proxy", lambda *_: _Closing(value))  # noqa: B010 - a name that it has imported
+    host, port = topics.request("http://n:1", "/n", "/t")
     assert isinstance(host, str)
     assert 0 < port < 65536
 

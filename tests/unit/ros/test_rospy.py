@@ -17,10 +17,9 @@ from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
 from rosplc.ros.rospy import handshake
 from rosplc.ros.rospy.handshake import Definition, mismatch
-from rosplc.ros.rospy.inbound import Incoming, RospySubscription, cut
 from rosplc.ros.rospy.master import Master, read_address
-from rosplc.ros.rospy.outbound import Outgoing, _Queue
 from rosplc.ros.rospy.services import RospyClient, _Link
+from rosplc.ros.rospy.topics import Incoming, Outgoing, RospySubscription, _Queue, cut
 from rosplc_bench.process import free_port
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for

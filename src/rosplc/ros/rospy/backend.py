@@ -14,11 +14,10 @@ from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, graph_info, opener
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.rospy.handshake import ANY, Definition, ros2_name
-from rosplc.ros.rospy.inbound import Incoming, RospySubscription
 from rosplc.ros.rospy.master import Master, RefusedError, SystemState, UnreachableError, read_address
-from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
 from rosplc.ros.rospy.services import RospyClient, RospyServer
 from rosplc.ros.rospy.slave import Servers
+from rosplc.ros.rospy.topics import Incoming, Outgoing, RospyPublisher, RospySubscription
 
 _logger = logging.getLogger("rosplc.ros.rospy")
 

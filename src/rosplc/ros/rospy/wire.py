@@ -19,8 +19,8 @@ from rosplc.model import TypeStore
 from rosplc.model.folders import save_definitions, split_definition
 from rosplc.ros.names import resolve_topic
 from rosplc.ros.rospy.handshake import HandshakeError
-from rosplc.ros.rospy.inbound import ANY_TYPE, greet, request
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, is_node_uri, read_address
+from rosplc.ros.rospy.topics import ANY_TYPE, greet, request
 
 _CALLER = "/rosplc_types"
 _PAUSE_NS = 200_000_000
