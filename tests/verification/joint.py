@@ -29,14 +29,16 @@ WATCHDOG_S = 100.0
 
 
 @cache
-def built(config: str, own: str = "") -> tuple[Build, tuple[str, ...]]:
+def built(config: str, own: str = "", delayed: bool = False) -> tuple[Build, tuple[str, ...]]:
     """Return the PLC's program, generated from a configuration, and what its tasks call.
 
-    ``own`` is a further program, ``Own``, called after the first.
+    ``own`` is a further program, ``Own``, called after the first; ``delayed``: without fences.
     """
     project = resolve(parse_config(config.replace("FOLDER", "/dev/shm")))
     # A PLC that a busy machine stops for a while is no silent one.
-    made = plc_project(project, ProjectOptions(beat_ms=10_000))
+    made = plc_project(
+        project, ProjectOptions(beat_ms=10_000, target="arm" if delayed else "x86", fenced=not delayed)
+    )
     names = [name for task in made.tasks for name in task.programs]
     texts = project_texts(made)
     if own:
@@ -67,7 +69,7 @@ class Joint:
         gvl: The list of the instances.
         domain: The ROS domain.
         backend: ``memory``, or ``dds``: the bridge is a process of its own then.
-        own: As for :func:`built`.
+        own, delayed: As for :func:`built`.
         clock: The bridge's, with ``memory``.
     """
 
@@ -79,11 +81,12 @@ class Joint:
         backend: str = "memory",
         own: str = "",
         clock: Clock = SYSTEM,
+        delayed: bool = False,
     ) -> None:
         self.clock = clock
         self.config, self.gvl, self.backend = config, gvl, backend
         self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
-        made, self.programs = built(config, own)
+        made, self.programs = built(config, own, delayed)
         self.machine = LibraryMachine(made, str(self.folder))
         self.machine.start()
         self.peer = open_backend(backend, store(), "peer", domain=domain)
@@ -151,16 +154,9 @@ class Joint:
 
 
 @contextlib.contextmanager
-def made_joint(
-    config: str,
-    gvl: str,
-    domain: int,
-    backend: str = "memory",
-    own: str = "",
-    clock: Clock = SYSTEM,
-) -> Iterator[Joint]:
-    """Give a joint, and close it."""
-    made = Joint(config, gvl, domain, backend, own, clock)
+def made_joint(*arguments: Any, **others: Any) -> Iterator[Joint]:
+    """Give a joint of these arguments, and close it."""
+    made = Joint(*arguments, **others)
     try:
         yield made
     finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
@@ -18,6 +19,8 @@ from rosplc.config.resolve import resolve
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, RosArguments, open_backend
+from tests.interop.graphs import free_domain
+from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import DOMAIN, Cell
 
@@ -64,6 +67,26 @@ def test_the_log_of_the_bridge_is_on_rosout(cell: Cell) -> None:
     LOGGER.warning("nobody sends this")
     assert len(messages) == before
     assert not any(isinstance(handler, Rosout) for handler in logging.getLogger("rosplc").handlers)
+
+
+@pytest.mark.parametrize("backend", ["dds", "zenoh"])
+def test_the_log_over_a_network(cell: Cell, backend: str) -> None:
+    """A late subscriber in the graph of the middleware gets it, too."""
+    with ExitStack() as stack:
+        options, more = {}, ""
+        if backend == "zenoh":
+            router = stack.enter_context(Router(stack.enter_context(free_port())))
+            options = {"mode": "peer", "connect": [router.endpoint]}
+            more = f", zenoh: {{mode: peer, connect: [{router.endpoint}]}}"
+        domain = stack.enter_context(free_domain())
+        ros = f"{{backend: {backend}, domain: {domain}{more}}}"
+        text = cell.config(NONE).replace(f"{{backend: memory, domain: {DOMAIN}}}", ros)
+        stack.enter_context(Bridge(parse_config(text)))
+        peer = open_backend(backend, TypeStore.bundled("jazzy"), "peer", domain=domain, options=options)
+        stack.callback(peer.close)
+        messages: list[bytes] = []
+        peer.subscribe(TOPIC, TYPE, LATCHED, lambda data, _: messages.append(data))
+        wait_for(lambda: any(line.msg.startswith("bridge cell carries") for line in lines(messages)))
 
 
 def test_the_profile_is_that_of_rclpy() -> None:
