@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
@@ -19,21 +18,18 @@ from rosplc.bridge.stream import ToPlc
 from rosplc.codec import Codec, Wire
 from rosplc.config.resolve import TopicPlan
 from rosplc.config.transforms import FRAME_BYTES, TF_MESSAGE, TransformError
+from rosplc.errors import CodecError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.ros import Backend, EndpointStatus, Qos, Subscription
 
 KEEP_NS = 10_000_000_000  # how far the buffer reaches back, as tf2's by default
-_QOS = {
-    "/tf": Qos(depth=1000),
-    "/tf_static": Qos(durability="transient_local", depth=1000),  # each publisher keeps its own
-}
-_MOST = 4096  # transforms in a message
+_QOS = {"/tf": Qos(depth=1000), "/tf_static": Qos(durability="transient_local", depth=1000)}
+_MOST, _MOST_LINKS = 4096, 10_000  # transforms in a message, and frames; transforms of one frame
 _LONGEST_FRAME = 255
 
-Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
-"""Translation x, y, z in m, then rotation as quaternion x, y, z, w: a child frame in its parent."""
+Pose: TypeAlias = tuple[float, float, float, float, float, float, float]  # m, then quaternion x, y, z, w
 _Link: TypeAlias = tuple[int, str, Pose]  # stamp in ns since 1970, parent, pose in it
-_STAMP = itemgetter(0)
+_STAMP, _COUNT = itemgetter(0), Struct("=I")
 _IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -88,7 +84,7 @@ class Buffer:
         self._lock = threading.Lock()
         self._links: dict[str, list[_Link]] = {}  # by child, the oldest first; of a static one the newest
         self._static: set[str] = set()
-        self._parents: set[str] = set()
+        self._frames: set[str] = set()
 
     def put(self, child: str, parent: str, stamp_ns: int, pose: Pose, *, static: bool = False) -> str:
         """Take a transform; return why it is ignored. Of two with one stamp the first counts, as in tf2."""
@@ -101,7 +97,9 @@ class Buffer:
         scale = 1 / math.sqrt(square)
         link = stamp_ns, parent, (x, y, z, qx * scale, qy * scale, qz * scale, qw * scale)
         with self._lock:
-            self._parents.add(parent)
+            if len(self._frames) >= _MOST and not {child, parent} <= self._frames:
+                return f"there are {_MOST} frames already"
+            self._frames |= {child, parent}
             links = self._links.setdefault(child, [])
             if static is not (child in self._static):
                 links.clear()
@@ -110,7 +108,7 @@ class Buffer:
                 links[:] = [link]
             elif not links or stamp_ns > links[-1][0]:
                 links.append(link)
-                while links[0][0] < stamp_ns - KEEP_NS:
+                while links[0][0] < stamp_ns - KEEP_NS or len(links) > _MOST_LINKS:
                     del links[0]
             elif stamp_ns < links[-1][0] - KEEP_NS:
                 return f"it is {(links[-1][0] - stamp_ns) / 1e9:.0f} s older than the newest"
@@ -124,7 +122,7 @@ class Buffer:
         """Return the pose of a frame in another one at the newest time common to the chain between them."""
         with self._lock:
             for frame in (target, source):
-                if frame not in self._links and frame not in self._parents:
+                if frame not in self._frames:
                     return Found(TransformError.UNKNOWN_FRAME, frame)
             ups, downs = (list(dict(self._walk(frame, None))) for frame in (source, target))
             common = next((frame for frame in downs if frame in ups), None)
@@ -173,10 +171,6 @@ class Buffer:
         return time_ns, parent, before
 
 
-def _frame(name: bytes) -> str:
-    return name.rstrip(b"\0").decode(errors="replace").removeprefix("/")
-
-
 def _reader(like: Layout, wire: Wire, room: int) -> Callable[[bytes], Iterator[tuple[Any, ...]]]:
     """Return what yields stamp, parent, child and pose of the transforms in a message, ``room`` at most."""
     layout = compute_layout(like.store, TF_MESSAGE, Limits(_LONGEST_FRAME, room, {}))
@@ -188,9 +182,10 @@ def _reader(like: Layout, wire: Wire, room: int) -> Callable[[bytes], Iterator[t
 
     def read(data: bytes) -> Iterator[tuple[Any, ...]]:
         record = codec.decode(data)
-        for at in range(first, first + stride * int.from_bytes(record[:4], sys.byteorder), stride):
-            seconds, nanoseconds, parent, child, *numbers = one.unpack_from(record, at)
-            yield seconds * 10**9 + nanoseconds, _frame(parent), _frame(child), tuple(numbers)
+        for at in range(first, first + stride * _COUNT.unpack_from(record)[0], stride):
+            seconds, nanoseconds, *names, x, y, z, qx, qy, qz, qw = one.unpack_from(record, at)
+            frames = [name.rstrip(b"\0").decode(errors="replace").removeprefix("/") for name in names]
+            yield seconds * 10**9 + nanoseconds, *frames, (x, y, z, qx, qy, qz, qw)
 
     return read
 
@@ -226,10 +221,13 @@ class Transforms:
         # Messages of each size have a codec with just enough room; no transform has less than 72 bytes.
         room = min(_MOST, 1 << (len(data) // 72).bit_length())
         read = readers.get(room) or readers.setdefault(room, _reader(like.layout, like.wire, room))
-        for stamp_ns, parent, child, pose in read(data):
-            if ignored := self.buffer.put(child, parent, stamp_ns, pose, static=topic == "/tf_static"):
-                words = f"{topic}: {child!r} in {parent!r} is ignored: {ignored}"
-                self._context.warnings.warn((topic, child), self._context.clock.monotonic_ns(), words)
+        warn = partial(self._context.warnings.warn, now_ns=self._context.clock.monotonic_ns())
+        try:
+            for stamp_ns, parent, child, pose in read(data):
+                if ignored := self.buffer.put(child, parent, stamp_ns, pose, static=topic == "/tf_static"):
+                    warn((topic, child), text=f"{topic}: {child!r} in {parent!r} is ignored: {ignored}")
+        except CodecError as error:
+            warn(topic, text=f"{topic}: message ignored: {error}")
 
     def status(self) -> EndpointStatus | None:
         """Return the state of the topic that has a problem, else of /tf, with the publishers of both."""

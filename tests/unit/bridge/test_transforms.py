@@ -210,6 +210,22 @@ def test_what_is_older_than_the_buffer_is_ignored() -> None:
     assert buffer.lookup("map", "tool")[:2] == (TransformError.NO_COMMON_TIME, "tool")
 
 
+def test_the_buffer_has_bounds() -> None:
+    """A node that invents frames, or stamps, fills no memory; frames that are known stay in use."""
+    buffer = Buffer()
+    for number in range(5000):
+        buffer.put(f"f{number}", "base", S, moved(1), static=True)
+    assert "4096 frames already" in buffer.put("another", "base", S, moved(1))
+    assert "4096 frames already" in buffer.put("f1", "another", S, moved(1))
+    assert buffer.lookup("base", "another").error == TransformError.UNKNOWN_FRAME
+    for number in range(10_002):
+        assert buffer.put("f1", "base", S + number, moved(number)) == ""
+    buffer.put("f2", "base", S + 2, moved(0))
+    assert buffer.lookup("f2", "f1").pose == moved(2)
+    buffer.put("f3", "base", S + 1, moved(0))
+    assert buffer.lookup("f3", "f1")[:2] == (TransformError.NO_COMMON_TIME, "f1")
+
+
 def test_of_two_with_one_stamp_the_first_counts() -> None:
     """As in tf2; a static one is replaced by the next."""
     buffer = Buffer()
@@ -310,13 +326,15 @@ def test_messages_of_any_size(cell: Cell) -> None:
 
 
 def test_what_cannot_be_used_is_logged(cell: Cell, caplog: pytest.LogCaptureFixture) -> None:
-    """The rest of the message counts."""
+    """The rest of the message counts, and the messages after one that cannot be read."""
     tool = Tool(cell)
+    tool.moving.write(tf(("x" * 256, "base", tool.now, moved(1))))
     tool.moving.write(
         tf(("tool", "base", tool.now, (0.0,) * 7), ("tool", "base", tool.now, moved(1)))  # type: ignore[arg-type]
     )
     tool.next(error=0)
     assert "/tf: 'tool' in 'base' is ignored: (0.0" in caplog.text
+    assert "/tf: message ignored: " in caplog.text and "string has 256 bytes, the limit is 255" in caplog.text
 
 
 def test_reload_keeps_what_was_received(cell: Cell) -> None:
