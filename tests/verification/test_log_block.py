@@ -32,9 +32,9 @@ END_PROGRAM
 """
 
 
-@pytest.fixture
-def joint() -> Iterator[Joint]:
-    with made_joint(CONFIG, "ROS_Write", DOMAIN, own=OWN) as made:
+@pytest.fixture(params=[False, True], ids=["fences", "delayed"])
+def joint(request: pytest.FixtureRequest) -> Iterator[Joint]:
+    with made_joint(CONFIG, "ROS_Write", DOMAIN, own=OWN, delayed=request.param) as made:
         yield made
 
 
