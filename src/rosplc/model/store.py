@@ -27,23 +27,11 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.errors import MessageTypeError
+from rosplc.model import types as kinds
 from rosplc.model._rosbags import DISTROS, EMPTY_MEMBER, bundled_types
 from rosplc.model.folders import parse_paths, read
 from rosplc.model.interfaces import EVENT_INFO, PARTS, derive, describe, kind_of, owners_of, parse_interface
 from rosplc.model.parse import ParsedType, format_value, full_name, parse_definition
-from rosplc.model.types import (
-    ActionType,
-    ArrayType,
-    Field,
-    FieldType,
-    MessageType,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    ServiceType,
-    StringType,
-    Value,
-)
 
 # Types that ROS 1 has built in, under another name.
 ROS1_TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
@@ -60,7 +48,7 @@ _WRITTEN |= {12: "float128", 14: "wchar", _STRING: "string", 18: "wstring", 22: 
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144  # added to the element's id
 
 
-def rihs01(message: MessageType, dependencies: list[MessageType]) -> str:
+def rihs01(message: kinds.MessageType, dependencies: list[kinds.MessageType]) -> str:
     """Return the type hash ``RIHS01_<64 hexadecimal digits>``; dependencies are direct and indirect ones."""
     description = {
         "type_description": _describe(message),
@@ -80,63 +68,63 @@ def type_text(type_id: int, capacity: int, string_capacity: int, nested_type_nam
     return element + ("", f"[{capacity}]", f"[<={capacity}]", "[]", "?", "?")[length]
 
 
-def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:
+def md5_text(message: kinds.MessageType, md5_of: Callable[[str], str]) -> str:
     """Return the text whose MD5 identifies a type in ROS 1; ``md5_of`` gives that of a nested type."""
     lines = [f"{c.type} {c.name}={c.text}" for c in message.constants]
     for field in message.fields:
         kind, element = field.type, field.type.inner
-        if isinstance(element, NamedType) and element.name not in ROS1_TIMES:
+        if isinstance(element, kinds.NamedType) and element.name not in ROS1_TIMES:
             lines.append(f"{md5_of(element.name)} {field.name}")  # brackets are left out there
-        elif isinstance(element, NamedType):
+        elif isinstance(element, kinds.NamedType):
             lines.append(f"{str(kind).replace(element.name, ROS1_TIMES[element.name])} {field.name}")
         else:
             lines.append(f"{kind} {field.name}")
     return "\n".join(lines)
 
 
-def _describe(message: MessageType) -> dict[str, Any]:
-    fields = message.fields or (Field(EMPTY_MEMBER, PrimitiveType("uint8")),)
+def _describe(message: kinds.MessageType) -> dict[str, Any]:
+    fields = message.fields or (kinds.Field(EMPTY_MEMBER, kinds.PrimitiveType("uint8")),)
     return {"type_name": message.name, "fields": [_describe_field(field) for field in fields]}
 
 
-def _describe_field(field: Field) -> dict[str, Any]:
-    kind: FieldType = field.type
+def _describe_field(field: kinds.Field) -> dict[str, Any]:
+    kind: kinds.FieldType = field.type
     offset = capacity = string_capacity = 0
-    if isinstance(kind, ArrayType):
+    if isinstance(kind, kinds.ArrayType):
         offset, capacity, kind = _ARRAY, kind.length, kind.element
-    elif isinstance(kind, SequenceType):
+    elif isinstance(kind, kinds.SequenceType):
         offset = _SEQUENCE if kind.bound is None else _BOUNDED_SEQUENCE
         capacity, kind = kind.bound or 0, kind.element
-    if isinstance(kind, NamedType):
+    if isinstance(kind, kinds.NamedType):
         number = _NESTED
-    elif isinstance(kind, StringType):
+    elif isinstance(kind, kinds.StringType):
         number, string_capacity = _STRING if kind.bound is None else _BOUNDED_STRING, kind.bound or 0
     else:
         number = _TYPE_IDS[str(kind)]
     # The order of the keys is part of the hash.
     own = {"type_id": offset + number, "capacity": capacity, "string_capacity": string_capacity}
-    nested = kind.name if isinstance(kind, NamedType) else ""
+    nested = kind.name if isinstance(kind, kinds.NamedType) else ""
     return {"name": field.name, "type": {**own, "nested_type_name": nested}}
 
 
-_EVERY_ROS2: dict[str, dict[str, Value]] = {
+_EVERY_ROS2: dict[str, dict[str, kinds.Value]] = {
     "geometry_msgs/msg/Quaternion": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
     "rcl_interfaces/msg/ParameterDescriptor": {"read_only": False, "dynamic_typing": False},
 }
-_SINCE_JAZZY: dict[str, dict[str, Value]] = {
+_SINCE_JAZZY: dict[str, dict[str, kinds.Value]] = {
     **_EVERY_ROS2,
     "sensor_msgs/msg/NavSatStatus": {"status": -2},
     "type_description_interfaces/msg/FieldType": {"type_id": 0},
 }
 
 
-def bundled(distro: str) -> tuple[dict[str, MessageType], dict[str, tuple[str]]]:
+def bundled(distro: str) -> tuple[dict[str, kinds.MessageType], dict[str, tuple[str]]]:
     """Return every message of a distribution, with default values, and the texts of services and actions."""
     types = bundled_types(distro)
     version = 1 if distro == "noetic" else 2
     if version == 2:
         types = with_defaults(types, _EVERY_ROS2 if distro == "humble" else _SINCE_JAZZY)
-    own: dict[str, MessageType] = {}
+    own: dict[str, kinds.MessageType] = {}
     interfaces: dict[str, tuple[str]] = {}
     for section in files("rosplc.model").joinpath("interfaces.txt").read_text().split("\n==== ")[1:]:
         head, _, text = section.partition("\n")
@@ -151,8 +139,8 @@ def bundled(distro: str) -> tuple[dict[str, MessageType], dict[str, tuple[str]]]
 
 
 def with_defaults(
-    types: dict[str, MessageType], defaults: dict[str, dict[str, Value]]
-) -> dict[str, MessageType]:
+    types: dict[str, kinds.MessageType], defaults: dict[str, dict[str, kinds.Value]]
+) -> dict[str, kinds.MessageType]:
     """Return ``types`` with default values; LookupError for a type or field that is missing."""
     result = dict(types)
     for name, values in defaults.items():
@@ -169,8 +157,11 @@ __all__ = ["DISTROS", "MAX_DEPTH", "TypeStore"]
 
 MAX_DEPTH = 32  # Deepest nesting of message types.
 
-_TIME_FIELDS = (Field("sec", PrimitiveType("int32")), Field("nanosec", PrimitiveType("uint32")))
-_BUILTIN = {name: MessageType(name, _TIME_FIELDS) for name in ROS1_TIMES}
+_TIME_FIELDS = (
+    kinds.Field("sec", kinds.PrimitiveType("int32")),
+    kinds.Field("nanosec", kinds.PrimitiveType("uint32")),
+)
+_BUILTIN = {name: kinds.MessageType(name, _TIME_FIELDS) for name in ROS1_TIMES}
 _WORDS = {"msg": "a message", "srv": "a service", "action": "an action"}
 
 
@@ -186,7 +177,7 @@ class TypeStore:
         ros_version: 1 or 2.
     """
 
-    def __init__(self, distro: str, types: Mapping[str, MessageType]) -> None:
+    def __init__(self, distro: str, types: Mapping[str, kinds.MessageType]) -> None:
         self.distro = distro
         self.ros_version = 1 if distro == "noetic" else 2
         self._types = dict(types)
@@ -269,7 +260,7 @@ class TypeStore:
         merged._broken.update(broken)
         return merged
 
-    def __getitem__(self, name: str) -> MessageType:
+    def __getitem__(self, name: str) -> kinds.MessageType:
         """Return a type by ``package/msg/Name`` or ``package/Name``.
 
         Raises MessageTypeError: TYP001 if it is unknown; for a custom type also what is wrong with it or
@@ -310,18 +301,18 @@ class TypeStore:
         full = [full_name(name, kind) for kind in ("msg", *PARTS)]
         return next((each for each in full if each in self._interfaces or each in self), full[0])
 
-    def service(self, name: str) -> ServiceType:
+    def service(self, name: str) -> kinds.ServiceType:
         """Return a service by ``package/srv/Name`` or ``package/Name``; errors as :meth:`__getitem__`.
 
         In ROS 2 also those of an action: ``package/action/Name_SendGoal`` and ``…_GetResult``.
         """
         own = self._interface(name, "srv")
-        return ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
+        return kinds.ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
 
-    def action(self, name: str) -> ActionType:
+    def action(self, name: str) -> kinds.ActionType:
         """Return an action by ``package/action/Name`` or ``package/Name``; errors as :meth:`__getitem__`."""
         own = self._interface(name, "action")
-        return ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))
+        return kinds.ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))
 
     def problems(self) -> tuple[MessageTypeError, ...]:
         """Return what is wrong with custom types and their files; none of it matters until a type is used."""
@@ -419,7 +410,7 @@ class TypeStore:
             if needed in _BUILTIN:
                 self._types.setdefault(needed, _BUILTIN[needed])
 
-    def _find(self, name: str) -> MessageType | None:
+    def _find(self, name: str) -> kinds.MessageType | None:
         """Return a message; those of a service or action are parsed here, when first asked for."""
         if (own := self._types.get(name)) is not None:
             return own
@@ -429,7 +420,7 @@ class TypeStore:
                     self._load(owner)
         return self._parts[name].message if name in self._parts else None
 
-    def _get(self, name: str) -> MessageType:
+    def _get(self, name: str) -> kinds.MessageType:
         found = self._find(name)
         assert found is not None, name
         return found
@@ -510,7 +501,7 @@ class TypeStore:
         if len(above) <= MAX_DEPTH:
             needed: dict[str, str] = {}
             for field, place in zip(message.fields, places, strict=True):
-                if isinstance(kind := field.type.inner, NamedType):
+                if isinstance(kind := field.type.inner, kinds.NamedType):
                     needed.setdefault(kind.name, place)
             below += [self._visit(other, heights, (*above, name), place) for other, place in needed.items()]
         heights[name] = 1 + max(below)
@@ -526,14 +517,14 @@ class TypeStore:
             if other not in order and not (self.ros_version == 1 and other in ROS1_TIMES):
                 self._collect(other, order)
 
-    def _text(self, message: MessageType) -> str:
+    def _text(self, message: kinds.MessageType) -> str:
         lines = []
         for each in message.constants:
             quoted = self.ros_version == 2 and isinstance(each.value, str)
             lines.append(f"{each.type} {each.name}={format_value(each.value) if quoted else each.text}")
         for field in message.fields:
             kind, text = field.type.inner, str(field.type)
-            if isinstance(kind, NamedType):
+            if isinstance(kind, kinds.NamedType):
                 short = ROS1_TIMES.get(kind.name) if self.ros_version == 1 else None
                 text = text.replace(kind.name, short or _short(kind.name))
             default = "" if field.default is None else f" {format_value(field.default)}"
@@ -549,7 +540,7 @@ def _short(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def _same_shape(one: MessageType, other: MessageType) -> bool:
+def _same_shape(one: kinds.MessageType, other: kinds.MessageType) -> bool:
     fields = [[(f.name, f.type) for f in m.fields] for m in (one, other)]
     return fields[0] == fields[1] and set(one.constants) == set(other.constants)
 

@@ -23,17 +23,8 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
+from rosplc.ros import backend as side
 from rosplc.ros import fields
-from rosplc.ros.backend import (
-    SERVICES,
-    Backend,
-    EndpointStatus,
-    Publisher,
-    Qos,
-    Reply,
-    ServiceClient,
-    ServiceServer,
-)
 
 # The messages that ROS 2 makes of an action's own: with a goal's UUID before them, or a status. A UUID has 16
 # bytes, a multiple of every alignment of CDR: what follows it is encoded as if it came first. Behind the one
@@ -131,7 +122,7 @@ _MOST_STATUSES = 1000  # goals of other clients that a client remembers
 MOST_WAITING = 64  # requests for the result of one goal
 KEEP_RESULT_NS = 10_000_000_000
 
-STATUS_QOS = Qos(durability="transient_local", depth=1)
+STATUS_QOS = side.Qos(durability="transient_local", depth=1)
 _ALL = bytes(16)
 
 
@@ -210,7 +201,7 @@ class Goal:
 class _Action:
     """An action's endpoints, all of them or none."""
 
-    def __init__(self, backend: Backend, store: TypeStore, action: str, type_name: str) -> None:
+    def __init__(self, backend: side.Backend, store: TypeStore, action: str, type_name: str) -> None:
         self.action, self.type_name = action, type_name
         self._lock = threading.RLock()
         self._endpoints: list[Any] = []
@@ -221,7 +212,7 @@ class _Action:
                 self.close()
                 raise
 
-    def _open(self, backend: Backend, store: TypeStore) -> None:
+    def _open(self, backend: side.Backend, store: TypeStore) -> None:
         raise NotImplementedError
 
     def _keep(self, endpoint: Any) -> Any:
@@ -232,7 +223,7 @@ class _Action:
         """Return name and type of a topic or service; the type is given in full, or by its part."""
         return f"{self.action}/_action/{name}", kind if "/" in kind else f"{self.type_name}_{kind}"
 
-    def endpoints(self) -> tuple[EndpointStatus, ...]:
+    def endpoints(self) -> tuple[side.EndpointStatus, ...]:
         """Return the state of the five topics and services."""
         return tuple(endpoint.status() for endpoint in self._endpoints)
 
@@ -268,7 +259,7 @@ class ActionServer(_Action):
 
     def __init__(
         self,
-        backend: Backend,
+        backend: side.Backend,
         store: TypeStore,
         action: str,
         type_name: str,
@@ -285,19 +276,21 @@ class ActionServer(_Action):
         self.refused: Counter[Reason] = Counter()
         super().__init__(backend, store, action, type_name)
 
-    def _open(self, backend: Backend, store: TypeStore) -> None:
+    def _open(self, backend: side.Backend, store: TypeStore) -> None:
         self._messages = Messages(store, self.type_name)
         keep, place = self._keep, self._place
-        self._feedback: Publisher = keep(backend.advertise(*place("feedback", "FeedbackMessage"), Qos()))
-        self._statuses: Publisher = keep(backend.advertise(*place("status", STATUSES), STATUS_QOS))
-        self._get: ServiceServer = keep(
-            backend.serve(*place("get_result", "GetResult"), SERVICES, self._on_get)
+        self._feedback: side.Publisher = keep(
+            backend.advertise(*place("feedback", "FeedbackMessage"), side.Qos())
         )
-        self._cancel: ServiceServer = keep(
-            backend.serve(*place("cancel_goal", CANCELS), SERVICES, self._on_cancels)
+        self._statuses: side.Publisher = keep(backend.advertise(*place("status", STATUSES), STATUS_QOS))
+        self._get: side.ServiceServer = keep(
+            backend.serve(*place("get_result", "GetResult"), side.SERVICES, self._on_get)
         )
-        self._send: ServiceServer = keep(
-            backend.serve(*place("send_goal", "SendGoal"), SERVICES, self._on_send)
+        self._cancel: side.ServiceServer = keep(
+            backend.serve(*place("cancel_goal", CANCELS), side.SERVICES, self._on_cancels)
+        )
+        self._send: side.ServiceServer = keep(
+            backend.serve(*place("send_goal", "SendGoal"), side.SERVICES, self._on_send)
         )
         self._publish()
 
@@ -386,7 +379,7 @@ class ActionServer(_Action):
         goal = self._goals.get(uuid)
         return goal if goal is not None and goal.status is GoalStatus.UNKNOWN else None
 
-    def _answer(self, server: ServiceServer, caller: bytes, payload: bytes) -> None:
+    def _answer(self, server: side.ServiceServer, caller: bytes, payload: bytes) -> None:
         with contextlib.suppress(BackendError):  # closed, or the middleware refuses: nobody can be told
             server.reply(caller, payload)
 
@@ -563,7 +556,7 @@ class GoalEvent:
     # with ``status`` and ``result``; UNKNOWN if the server does not know the goal (any more)
     status: GoalStatus = GoalStatus.UNKNOWN
     # with ``failed``, ``not canceled`` and ``lost``: how the call ended that has no response
-    reply: Reply | None = None
+    reply: side.Reply | None = None
 
 
 @dataclass(slots=True)
@@ -592,7 +585,7 @@ class ActionClient(_Action):
 
     def __init__(
         self,
-        backend: Backend,
+        backend: side.Backend,
         store: TypeStore,
         action: str,
         type_name: str,
@@ -605,13 +598,13 @@ class ActionClient(_Action):
         self._statuses: dict[bytes, GoalStatus] = {}  # as the server last published them
         super().__init__(backend, store, action, type_name)
 
-    def _open(self, backend: Backend, store: TypeStore) -> None:
+    def _open(self, backend: side.Backend, store: TypeStore) -> None:
         self._messages = Messages(store, self.type_name)
         keep, place = self._keep, self._place
-        keep(backend.subscribe(*place("feedback", "FeedbackMessage"), Qos(), self._on_feedback))
+        keep(backend.subscribe(*place("feedback", "FeedbackMessage"), side.Qos(), self._on_feedback))
         keep(backend.subscribe(*place("status", STATUSES), STATUS_QOS, self._on_statuses))
-        self._services: list[ServiceClient] = [
-            keep(backend.client(*place(*each), SERVICES))
+        self._services: list[side.ServiceClient] = [
+            keep(backend.client(*place(*each), side.SERVICES))
             for each in (
                 ("send_goal", "SendGoal"),
                 ("cancel_goal", CANCELS),
@@ -665,7 +658,7 @@ class ActionClient(_Action):
                 self._services[service].forget(number)
 
     def _call(
-        self, service: int, uuid: bytes, payload: bytes, on_reply: Callable[[bytes, Reply], None]
+        self, service: int, uuid: bytes, payload: bytes, on_reply: Callable[[bytes, side.Reply], None]
     ) -> None:
         with self._lock:
             if uuid not in self._goals:
@@ -680,11 +673,11 @@ class ActionClient(_Action):
 
     # -- what comes
 
-    def _on_decision(self, uuid: bytes, reply: Reply) -> None:
+    def _on_decision(self, uuid: bytes, reply: side.Reply) -> None:
         try:
             accepted = None if reply.payload is None else read_accepted(reply.payload)
         except BackendError as error:
-            accepted, reply = None, Reply(text=str(error))
+            accepted, reply = None, side.Reply(text=str(error))
         if accepted:
             self._tell(uuid, "accepted")
             with contextlib.suppress(BackendError):  # closed meanwhile
@@ -694,21 +687,21 @@ class ActionClient(_Action):
         else:
             self._tell(uuid, "rejected", last=True)
 
-    def _on_result(self, uuid: bytes, reply: Reply) -> None:
+    def _on_result(self, uuid: bytes, reply: side.Reply) -> None:
         try:
             if reply.payload is not None:
                 status, result = self._messages.read_result(reply.payload)
                 self._tell(uuid, "result", payload=result, status=_status(status), last=True)
                 return
         except BackendError as error:
-            reply = Reply(text=str(error))
+            reply = side.Reply(text=str(error))
         self._tell(uuid, "lost", reply=reply)
 
-    def _on_canceling(self, uuid: bytes, reply: Reply) -> None:
+    def _on_canceling(self, uuid: bytes, reply: side.Reply) -> None:
         try:
             goals = [] if reply.payload is None else self._messages.read_canceling(reply.payload)[1]
         except BackendError as error:
-            goals, reply = [], Reply(text=str(error))
+            goals, reply = [], side.Reply(text=str(error))
         agreed = any(one == uuid for one, _ in goals)
         self._tell(uuid, "canceling" if agreed else "not canceled", reply=reply)
 

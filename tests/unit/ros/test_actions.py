@@ -18,7 +18,7 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
-from rosplc.ros import Backend, actions, open_backend
+from rosplc.ros import SERVICES, Backend, Qos, actions, open_backend
 from rosplc.ros import actions as wire
 from rosplc.ros.actions import (
     ActionClient,
@@ -271,9 +271,7 @@ def test_what_a_request_to_cancel_is_about(
         server.adopt(one, number * 10**9, GoalStatus.EXECUTING)
     server.succeed(THREE, SEQUENCE)
     replies: list[Any] = []
-    caller = graph("caller").client(
-        "/fibonacci/_action/cancel_goal", "action_msgs/srv/CancelGoal", actions.SERVICES
-    )
+    caller = graph("caller").client("/fibonacci/_action/cancel_goal", "action_msgs/srv/CancelGoal", SERVICES)
     caller.call(MESSAGES.pack_cancel(uuid, when), replies.append)
     wait_for(lambda: len(server.cancels) == len(asked))
     assert server.cancels == asked
@@ -322,9 +320,7 @@ def test_every_step_from_every_state(graph: Any, server: Server, state: GoalStat
         request = MESSAGES.pack_cancel(ONE)
         name = "/fibonacci/_action/cancel_goal"
         replies: list[Any] = []
-        graph("caller").client(name, "action_msgs/srv/CancelGoal", actions.SERVICES).call(
-            request, replies.append
-        )
+        graph("caller").client(name, "action_msgs/srv/CancelGoal", SERVICES).call(request, replies.append)
         wait_for(lambda: server.cancels or replies)
         done = server.accept_cancel(ONE)
     elif step is GoalStep.EXECUTE:
@@ -423,12 +419,12 @@ def test_bytes_that_are_none_of_an_action(graph: Any, server: Server, client: Cl
         ("get_result", f"{FIBONACCI}_GetResult"),
         ("cancel_goal", "action_msgs/srv/CancelGoal"),
     ):
-        rogue.client(f"/fibonacci/_action/{name}", kind, actions.SERVICES).call(GOAL, print)
+        rogue.client(f"/fibonacci/_action/{name}", kind, SERVICES).call(GOAL, print)
     statuses = rogue.advertise(
         "/fibonacci/_action/status", "action_msgs/msg/GoalStatusArray", actions.STATUS_QOS
     )
     statuses.write(b"\0\1\0\0\xff\xff\xff\xff")
-    rogue.advertise("/fibonacci/_action/feedback", f"{FIBONACCI}_FeedbackMessage", actions.Qos()).write(GOAL)
+    rogue.advertise("/fibonacci/_action/feedback", f"{FIBONACCI}_FeedbackMessage", Qos()).write(GOAL)
     wait_for(lambda: [one.failed for one in client.endpoints()[:2]] == [1, 1])
     begin(server, client)
     assert server.goals == [(ONE, GOAL)]

@@ -23,17 +23,7 @@ from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.names import join, validate_namespace, validate_node_name
-from rosplc.ros.rclpy.endpoint import (
-    MessageClasses,
-    RclpyClient,
-    RclpyPublisher,
-    RclpyServer,
-    RclpySubscription,
-    create,
-    profile,
-    read_peers,
-    service_type,
-)
+from rosplc.ros.rclpy import endpoint as ends
 from rosplc.ros.rclpy.parameters import show
 
 
@@ -177,14 +167,14 @@ def _nothing() -> None:
 
 _LOOK_NS = 250_000_000
 
-RclpyEndpoint = RclpySubscription | RclpyPublisher | RclpyServer | RclpyClient
+RclpyEndpoint = ends.RclpySubscription | ends.RclpyPublisher | ends.RclpyServer | ends.RclpyClient
 
 
 class RclpyBackend(BaseNode):
     """One node of rclpy, with a thread (:func:`open_backend`) or spun by the caller (:func:`from_node`)."""
 
     name = "rclpy"
-    _kinds = (RclpySubscription, RclpyPublisher, RclpyServer, RclpyClient)
+    _kinds = (ends.RclpySubscription, ends.RclpyPublisher, ends.RclpyServer, ends.RclpyClient)
     logger = logging.getLogger("rosplc.ros.rclpy")
 
     def __init__(
@@ -198,7 +188,7 @@ class RclpyBackend(BaseNode):
         super().__init__(Context(store, node.get_name(), node.get_namespace(), remap=remap, clock=clock))
         self._node = node
         self._own = own  # its thread ends in :meth:`close`
-        self._classes = MessageClasses(store)
+        self._classes = ends.MessageClasses(store)
         self.domain: int = node.context.get_domain_id()
         # All callbacks in one group: one at a time, whatever executor spins the node.
         self._group = MutuallyExclusiveCallbackGroup()
@@ -218,7 +208,7 @@ class RclpyBackend(BaseNode):
         native_type = self._classes[name]
         type_hash = self._store.type_hash(f"{name}_Request" if kind.serves else name)
         endpoint: RclpyEndpoint = kind(*receiver, self, full, name, qos, type_hash)
-        settings = profile(_base.queue_of(qos) if kind.serves else qos)
+        settings = ends.profile(_base.queue_of(qos) if kind.serves else qos)
         make = partial(endpoint.make, self._node, native_type, full, settings, callback_group=self._group)
         with self._lock:
             self._usable()
@@ -226,12 +216,12 @@ class RclpyBackend(BaseNode):
                 if (executor := self._node.executor) is not None and executor is not self._guarded:
                     self._guarded = executor
                     guard_takes(executor, self._refuse)
-                if isinstance(endpoint, RclpyServer | RclpyClient):
+                if isinstance(endpoint, ends.RclpyServer | ends.RclpyClient):
                     native_topic = self._node.resolve_service_name(full)
                     endpoint.entity = make()
                     endpoint.attach(endpoint.entity)
                 else:
-                    endpoint.entity = create(make, endpoint, self._look)
+                    endpoint.entity = ends.create(make, endpoint, self._look)
                     native_topic = endpoint.entity.topic_name
                 endpoint.topic = native_topic  # after the node's own remapping rules
             except RosplcError:
@@ -239,7 +229,7 @@ class RclpyBackend(BaseNode):
             except Exception as error:
                 raise refusal(f"cannot open {full} as {name}", error) from error
             self._endpoints.append(endpoint)
-            if kind is RclpyClient and self._watch is None:
+            if kind is ends.RclpyClient and self._watch is None:
                 self._watch = threading.Thread(
                     target=self._look_after_calls, name="rosplc-calls-rclpy", daemon=True
                 )
@@ -250,7 +240,7 @@ class RclpyBackend(BaseNode):
         while not self._ending.is_set():
             self.clock.wait(self._ending, _LOOK_NS)
             for endpoint in self.endpoints():
-                if isinstance(endpoint, RclpyClient):
+                if isinstance(endpoint, ends.RclpyClient):
                     endpoint.look()
 
     def _refuse(self, entity: object, error: Exception) -> None:
@@ -293,7 +283,7 @@ class RclpyBackend(BaseNode):
             return []
 
     def _peers(self, topic: str, direction: Literal["in", "out"]) -> list[EndpointInfo]:
-        return read_peers(self._ends(topic, direction), topic, direction)
+        return ends.read_peers(self._ends(topic, direction), topic, direction)
 
     def _users(self, service: str, direction: Literal["in", "out"]) -> list[Any]:
         """Return who serves (``in``) or calls (``out``) a service: who reads or writes its requests."""
@@ -311,8 +301,8 @@ class RclpyBackend(BaseNode):
     def _compared(self, endpoint: RclpyEndpoint) -> tuple[list[EndpointInfo], list[Problem]]:
         theirs: Literal["in", "out"] = "out" if endpoint.direction == "in" else "in"
         if endpoint.serves:
-            found = read_peers(self._users(endpoint.topic, theirs), endpoint.topic, theirs)
-            peers = [replace(peer, type_name=service_type(peer.type_name)) for peer in found]
+            found = ends.read_peers(self._users(endpoint.topic, theirs), endpoint.topic, theirs)
+            peers = [replace(peer, type_name=ends.service_type(peer.type_name)) for peer in found]
         else:
             peers = self._peers(endpoint.topic, theirs)
         return peers, [*filter(None, (_base.explain(peer, endpoint, _name(peer)) for peer in peers))]
@@ -321,15 +311,15 @@ class RclpyBackend(BaseNode):
         if self._lost:
             return False, [("ROS009", "the ROS context was shut down")]
         peers, problems = self._compared(endpoint)
-        if isinstance(endpoint, RclpySubscription | RclpyPublisher):
+        if isinstance(endpoint, ends.RclpySubscription | ends.RclpyPublisher):
             return bool(peers), problems or self._unexplained(endpoint, peers)
-        found = read_peers(self._users(endpoint.topic, "in"), endpoint.topic, "in")
+        found = ends.read_peers(self._users(endpoint.topic, "in"), endpoint.topic, "in")
         servers = [_name(peer) or f"node {peer.node}" for peer in found]
-        if isinstance(endpoint, RclpyServer) and f"node {self.node}" in servers:
+        if isinstance(endpoint, ends.RclpyServer) and f"node {self.node}" in servers:
             servers.remove(f"node {self.node}")
         problems += filter(None, [_base.several(endpoint, servers)])
         # Clients come and go: none is no doubt about a server.
-        return isinstance(endpoint, RclpyServer) or endpoint.ready, problems
+        return isinstance(endpoint, ends.RclpyServer) or endpoint.ready, problems
 
     def _unexplained(self, endpoint: RclpyEndpoint, peers: list[EndpointInfo]) -> list[Problem]:
         """Judge by count: rclpy does not tell which peers are matched."""
@@ -366,11 +356,11 @@ class RclpyBackend(BaseNode):
                 if peer.node != self.node
             ]
             calls = [
-                replace(peer, type_name=service_type(peer.type_name))
+                replace(peer, type_name=ends.service_type(peer.type_name))
                 for topic, _ in self._node.get_topic_names_and_types(True)
                 if topic.startswith("rq/") and topic.endswith("Request")
                 for direction in ("in", "out")
-                for peer in read_peers(self._users(topic[2:-7], direction), topic[2:-7], direction)
+                for peer in ends.read_peers(self._users(topic[2:-7], direction), topic[2:-7], direction)
                 if peer.node != self.node
             ]
         except RuntimeError as error:  # InvalidHandle too: closed at this moment
