@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
-from rosplc.bridge import rosout
+from rosplc.bridge import ros_time, rosout
 from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.leftovers import Leaving, check_names, leaving, retire_leftovers
@@ -23,8 +23,6 @@ from rosplc.bridge.parameters import PlcParameters
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.ros_side import LiveTypes, RosSide
-from rosplc.bridge.ros_time import PERIOD_NS, RosTime
-from rosplc.bridge.ros_time import TOPIC as TIME_TOPIC
 from rosplc.bridge.status import ActionStatus, BridgeStatus, ServiceStatus, carried
 from rosplc.bridge.stream import Stream
 from rosplc.bridge.use import Use
@@ -369,10 +367,9 @@ class Bridge:
         if settings.time.plc:
             sim = Parameter("use_sim_time", "bool", settings.time.use_sim_time)
             given = self._ros.given([sim]).get(sim.name, sim.value)
-            time = RosTime(self.project, self.backend, self._clock, given)
-            stack.callback(time.leave)
-            beats.append(Duty("telling the time", PERIOD_NS, time.write))
-            self._own_topics[TIME_TOPIC] = time
+            time = ros_time.RosTime(self.project, self.backend, self._clock, given)
+            beats.append(Duty("telling the time", ros_time.PERIOD_NS, time.write))
+            self._own_topics[ros_time.TOPIC] = time
         # Until here nothing in shared memory has been touched.
         self._leaving = tuple(leaving(self.project, context))
         for use in self._leaving:

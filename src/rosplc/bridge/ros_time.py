@@ -29,14 +29,15 @@ class RosTime:
         self._on_message: OnMessage | None = None
         self._sim_ns = self._written_ns = self._count = 0
         self._took_ns = 0  # from the look at the clock to the PLC's object, at most of late
+        self._backend = backend
         self._source: Subscription | None = None
-        if sim:
-            qos = Qos("best_effort", depth=1)
-            self._source = backend.subscribe(_CLOCK, _CLOCK_TYPE, qos, self._on_clock)
 
     def subscribe(self, _topic: str, _type: str, _qos: Qos, on_message: OnMessage) -> RosTime:
-        """Return the subscription of the topic's stream: this one."""
+        """Return the subscription of the topic's stream: this one. Raises as the backend does."""
         self._on_message = on_message
+        if self._sim:
+            qos = Qos("best_effort", depth=1)
+            self._source = self._backend.subscribe(_CLOCK, _CLOCK_TYPE, qos, self._on_clock)
         return self
 
     def _on_clock(self, data: bytes, _stamp_ns: int) -> None:
@@ -57,20 +58,13 @@ class RosTime:
                 self._count += 1
                 self._took_ns = max(self._clock.monotonic_ns() - before, self._took_ns * 9 // 10)
 
-    @property
-    def matched(self) -> int:
-        """Sources of the time: publishers of ``/clock``, or the system's clock."""
-        return 1 if self._source is None else self._source.matched
-
     def status(self) -> EndpointStatus:
-        """Return the present state."""
-        return EndpointStatus(TOPIC, self._type, "in", self.matched, self._count)
+        """Return the present state; the sources are the publishers of ``/clock``, or the system's clock."""
+        matched = 1 if self._source is None else self._source.matched
+        return EndpointStatus(TOPIC, self._type, "in", matched, self._count)
 
     def close(self) -> None:
         """Write no more."""
         self._on_message = None
-
-    def leave(self) -> None:
-        """Leave ``/clock``."""
         if self._source is not None:
             self._source.close()

@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from typing import Any
 
-from rosplc.bridge.port import log
+from rosplc.bridge.port import RepeatedWarnings, log
 from rosplc.clock import Clock
 from rosplc.codec import Codec, Wire
 from rosplc.config.resolve import Project
@@ -38,7 +38,7 @@ class Rosout(logging.Handler):
         self._lines: deque[tuple[dict[str, Any], int]] = deque(maxlen=_WAITING)
         self._left_out = 0
         self._sender = 0  # the thread that is sending
-        self._failing = False
+        self._warnings = RepeatedWarnings(log)
         self.publisher: Publisher = backend.advertise(TOPIC, self._type, QOS)
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -61,7 +61,7 @@ class Rosout(logging.Handler):
         self._lines.append((values, stamp_ns))
 
     def send(self) -> None:
-        """Send the lines that wait. The first failure in a row is logged, but not here."""
+        """Send the lines that wait. A failure is logged, but not here."""
         if self._sender:  # a thread that was left behind hangs in the ROS side
             return
         self._sender = threading.get_ident()
@@ -72,11 +72,9 @@ class Rosout(logging.Handler):
             for _ in range(len(self._lines)):
                 values, stamp_ns = self._lines.popleft()
                 self.publisher.write(fields.pack(self._store, self._type, values), stamp_ns)
-            self._failing = False
         except Exception as error:  # logged by the caller it would come back as the next line
-            if not self._failing:
-                log.warning("the log cannot be sent to %s: %s", TOPIC, error)
-            self._failing = True
+            text = f"the log cannot be sent to {TOPIC}: {error}"
+            self._warnings.warn(TOPIC, self._clock.monotonic_ns(), text)
         finally:
             self._sender = 0
 

@@ -705,8 +705,7 @@ class Settings(_Section):
     def _have_own_topics(self) -> Settings:
         for name, entry in self.own_topics.items():
             if name in self.topics:
-                what = {"/rosout": "rosout", "/ros_time": "time"}[name]
-                raise ValueError(f"{what}.plc carries {name}, which is also in topics; remove one of them")
+                raise ValueError(f"the bridge itself has {name} for the PLC; remove it from topics")
             self.topics[name] = entry
         return self
 
