@@ -197,49 +197,37 @@ def _details(project: Project) -> Iterator[str]:
     for plan in project.topics:
         yield f"\n{plan.topic}  {_WAYS[plan.direction]}  {plan.type_name}"
         yield from columns(_rows(project, plan, names.get(plan.topic)), indent=2)
-    for service in project.services:
-        yield from _call(service, _service_rows(service), names)
-    for action in project.actions:
-        yield from _call(action, _action_rows(action), names)
-
-
-def _call(
-    plan: CallPlan, rows: Iterator[tuple[str, str]], names: dict[str, tuple[str, str]]
-) -> Iterator[str]:
-    way = "carried out by the PLC" if plan.server == "plc" else "called by the PLC"
-    yield f"\n{plan.name}  {way}  {plan.type_name}"
-    in_plc = [("in the PLC", "{} (block {})".format(*names[plan.name]))] if plan.name in names else []
-    yield from columns((*_call_rows(plan), *rows, *in_plc), indent=2)
+    for call in (*project.services, *project.actions):
+        way = "carried out by the PLC" if call.server == "plc" else "called by the PLC"
+        yield f"\n{call.name}  {way}  {call.type_name}"
+        in_plc = [("in the PLC", "{} (block {})".format(*names[call.name]))] if call.name in names else []
+        yield from columns((*_call_rows(call), *in_plc), indent=2)
 
 
 def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
+    from rosplc.config.plans import ActionPlan, ServicePlan
+
     for part, layout in zip(plan.parts, plan.layouts, strict=True):
         yield part.word, f"{plural(layout.size, 'byte')}, layout id {layout.layout_id}"
         if limits := _capacities(layout):
             yield "limits", limits
     yield "task", plan.task
     yield "too large", "cut" if plan.truncate else "refused and counted"
-
-
-def _action_rows(plan: ActionPlan) -> Iterator[tuple[str, str]]:
-    if plan.server == "plc":
-        also = {"reject": "is rejected", "abort": "takes its place", "buffer": f"waits, {plan.queue} at most"}
-        yield "another goal", also[plan.on_new_goal]
-        yield "undecided", f"rejected after {_time(plan.accept_ns)}"
-        yield "result", f"kept for {_time(plan.keep_result_ns)}"
-    else:
-        down = {"cancel": "the goal is canceled", "keep": "the goal goes on"}
-        yield "without a PLC", down[plan.when_plc_down]
-
-
-def _service_rows(plan: ServicePlan) -> Iterator[tuple[str, str]]:
-    if plan.server == "plc":
+    if isinstance(plan, ServicePlan) and plan.server == "plc":
         yield "waiting", f"{plan.depth} calls at most, {plan.per_client} of one caller"
         yield "expires", f"a call that has waited for {_time(plan.expire_ns)}"
         if plan.min_interval_ns:
             yield "passes on", f"one call per {plan.min_interval_ns / 1e6:g} ms at most"
         fallback = "nothing" if plan.fallback is None else str(plan.response.to_dict(plan.fallback))
         yield "unanswered", f"the caller gets {fallback}"
+    elif isinstance(plan, ActionPlan) and plan.server == "plc":
+        also = {"reject": "is rejected", "abort": "takes its place", "buffer": f"waits, {plan.queue} at most"}
+        yield "another goal", also[plan.on_new_goal]
+        yield "undecided", f"rejected after {_time(plan.accept_ns)}"
+        yield "result", f"kept for {_time(plan.keep_result_ns)}"
+    elif isinstance(plan, ActionPlan):
+        down = {"cancel": "the goal is canceled", "keep": "the goal goes on"}
+        yield "without a PLC", down[plan.when_plc_down]
 
 
 def _head(project: Project) -> Iterator[str]:

@@ -197,7 +197,9 @@ class _Examination:
         self._project, self._topics, self._calls = project, project.topics, project.calls
         self._classic = [(plan, plan.classic) for plan in project.topics if plan.classic is not None]
         self._directory, self._prefix = Path(project.namespace.directory), project.namespace.prefix
-        yield fine("DOC501", f"{path} is valid: {_amount(project)}")
+        several = len({(plan.kind, plan.called) for plan in project.calls})
+        more = f" and {several} services or actions" if several else ""
+        yield fine("DOC501", f"{path} is valid: {len(project.topics)} topics{more}")
         yield self._owner(project)
 
     def _owner(self, project: Project) -> Finding:
@@ -477,12 +479,6 @@ class _Examination:
         if self._objects is not None:
             yield from code.against_live(present, self._objects, self._directory)
         yield from code.fences(present, platform.machine(), command)
-
-
-def _amount(project: Project) -> str:
-    several = {(plan.kind, plan.called) for plan in project.calls}
-    more = f" and {len(several)} services or actions" if several else ""
-    return f"{len(project.topics)} topics{more}"
 
 
 def _regenerated(

@@ -84,7 +84,9 @@ class Definitions:
                 return False
             first = first or file
             parts[name] = f"{read(file)}\n"
-            todo += _needed(name, parts[name], self.store.ros_version)
+            with suppress(RosplcError, ValueError):  # learning the text reports what is wrong with it
+                (parsed,) = parse_definition(name, parts[name], ros_version=self.store.ros_version)
+                todo += parsed.message.needs
         self.learn(type_name, join_texts(parts), str(first))
         return True
 
@@ -113,14 +115,6 @@ def join_texts(texts: Mapping[str, str]) -> str:
     """Return one text for definitions by full name, as ROS tools concatenate them."""
     (_, own), *others = texts.items()
     return own + "".join(f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others)
-
-
-def _needed(name: str, text: str, ros_version: int) -> list[str]:
-    try:
-        (parsed,) = parse_definition(name, text, ros_version=ros_version)
-    except (RosplcError, ValueError):
-        return []  # the one that learns the text reports what is wrong with it
-    return list(parsed.message.needs)
 
 
 _log = logging.getLogger("rosplc.run")

@@ -99,7 +99,9 @@ class LiveRobot:
         """Write down what this terminal's environment decides: a service will not have it."""
         why = dict(self.found.why)
         if keys["backend"] == "auto":
-            plain = bool(keys.get("zenoh")) or _chosen_without_environment(str(keys["distro"])) == choice.name
+            plain = bool(keys.get("zenoh"))
+            with contextlib.suppress(BackendError):
+                plain = plain or choose(str(keys["distro"]), {}).name == choice.name
             why["backend"] = f"{'here it is ' if plain else ''}{choice.name}, because {choice.why}"
             if not plain:
                 keys["backend"], why["backend"] = choice.name, choice.why
@@ -199,13 +201,6 @@ def matching(offered: Collection[Qos], depth: int) -> Qos:
     latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
     kept: Literal["transient_local", "volatile"] = "transient_local" if latched else "volatile"
     return Qos("reliable" if reliable else "best_effort", kept, depth=depth)
-
-
-def _chosen_without_environment(distro: str) -> str:
-    try:
-        return choose(distro, {}).name
-    except BackendError:
-        return ""
 
 
 def _take(meter: Meter, data: bytes, _: int) -> None:

@@ -435,7 +435,9 @@ class Viewers:
                 raise WebError("WEB007", f"{self._settings.viewers} pages are connected")
             await self._serve(socket, request)
         except RosplcError as error:
-            await self._refuse(socket, error)
+            with contextlib.suppress(ConnectionError, asyncio.TimeoutError):
+                await _send(socket, {"error": error.to_dict()})
+                await socket.close(code=1008, message=error.code.encode())
         except (ConnectionError, asyncio.TimeoutError):
             pass  # it has left, or takes nothing any more
         finally:
@@ -488,11 +490,6 @@ class Viewers:
             # To say goodbye would wait for the page once more.
             if request.transport is not None:
                 request.transport.abort()
-
-    async def _refuse(self, socket: web.WebSocketResponse, error: RosplcError) -> None:
-        with contextlib.suppress(ConnectionError, asyncio.TimeoutError):
-            await _send(socket, {"error": error.to_dict()})
-            await socket.close(code=1008, message=error.code.encode())
 
 
 async def _receive(socket: web.WebSocketResponse, seconds: float | None) -> dict[str, Any] | None:

@@ -159,19 +159,15 @@ def write_message(
             what = "the channel has another layout than the form was made for"
             raise WebError("WEB010", what, where=topic, remedy="Open the form again.")
         record = bytes(layout.pack(from_form(form_of(layout), message, not_finite=not_finite)))
-        _refuse_other_writer(attached, topic)
+        writer = attached.snapshot().writer
+        if writer.epoch:
+            who = f"process {writer.pid}{_name_of(writer.pid)}" if writer.pid else "a PLC program"
+            raise _claimed(topic, who)
         if attached.identity.direction is Direction.TO_PLC:
             return _to_plc(namespace, attached, record, clock.time_ns())
     with attach_object(namespace, topic, write=True) as attached:
         same_layout = attached.identity.layout_id == layout_id
         return _publish(attached.region, same_layout, topic, record, clock.time_ns())
-
-
-def _refuse_other_writer(attached: Attached, topic: str) -> None:
-    writer = attached.snapshot().writer
-    if writer.epoch:
-        who = f"process {writer.pid}{_name_of(writer.pid)}" if writer.pid else "a PLC program"
-        raise _claimed(topic, who)
 
 
 def _claimed(topic: str, who: str) -> WebError:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict, deque
-from collections.abc import Iterable
+from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -48,32 +47,6 @@ if TYPE_CHECKING:
 
 _LOOKS = 600
 _FIELDS = 2000
-
-
-class History:
-    """The last values of every number of a message, one per look."""
-
-    def __init__(self) -> None:
-        self._values: defaultdict[str, deque[float]] = defaultdict(lambda: deque(maxlen=_LOOKS))
-
-    def note(self, numbers: Iterable[tuple[str, float]]) -> None:
-        """Add what a look saw; what is over a limit of 2000 numbers is left out."""
-        for path, number in numbers:
-            if path in self._values or len(self._values) < _FIELDS:
-                self._values[path].append(number)
-
-    def clear(self) -> None:
-        """Forget everything: the type is another one."""
-        self._values.clear()
-
-    def first(self) -> str:
-        """Return the first number that is no part of a header; empty if there is none."""
-        names = [path for path in self._values if "header." not in path] or list(self._values)
-        return names[0] if names else ""
-
-    def of(self, path: str) -> list[float]:
-        """Return a number's values, the oldest first; none if the path is no number's."""
-        return list(self._values.get(path, ()))
 
 
 class Course(Vertical):
@@ -235,7 +208,8 @@ class MessageScreen(Screen[None]):
         self._watch, self._clock = watch, watch.clock
         self._channel = channel
         self._seconds = seconds
-        self._history = History()
+        # The last values of every number of a message, one per look.
+        self._history: dict[str, deque[float]] = {}
         self._path = ""
         self._shape: object = None
         self._next = 0
@@ -258,7 +232,7 @@ class MessageScreen(Screen[None]):
 
     def on_tree_node_highlighted(self, event: Tree.NodeHighlighted[str]) -> None:
         """Show the course of the number under the cursor."""
-        if self._history.of(event.node.data or ""):
+        if (event.node.data or "") in self._history:
             self._path = event.node.data or ""
             with suppress(NoMatches):  # the screen goes
                 self._draw_course()
@@ -308,15 +282,18 @@ class MessageScreen(Screen[None]):
         if shape != self._shape:
             self._shape = shape
             self._history.clear()
-        self._history.note(numbers(message.values))
-        if not self._history.of(self._path):
-            self._path = self._history.first()
+        for path, number in numbers(message.values):
+            if path in self._history or len(self._history) < _FIELDS:
+                self._history.setdefault(path, deque(maxlen=_LOOKS)).append(number)
+        if self._path not in self._history:  # the first number that is no part of a header
+            names = [path for path in self._history if "header." not in path]
+            self._path = next(iter(names or self._history), "")
         self.query_one(ValueTree).show(message.values, shape)
         self.query_one("#channel-message", Static).update(plain(_about(message), "dim"), layout=False)
         self._draw_course()
 
     def _draw_course(self) -> None:
-        self.query_one(Course).show(self._path, self._history.of(self._path), self._seconds)
+        self.query_one(Course).show(self._path, list(self._history.get(self._path, ())), self._seconds)
 
     def _say(self, words: str) -> None:
         self.query_one("#channel-words", Static).update(plain(words), layout=False)
