@@ -134,7 +134,7 @@ def node(dds_domain: int) -> Iterator[Callable[..., Backend]]:
             "topics:\n  /a: {type: std_msgs/Bool, to: plc}\n  /a: {type: std_msgs/Bool, to: ros}\n",
             "CFG006",
             5,
-            "line 4 already",
+            "already on line 4",
         ),
         ("topics:\n  /a: {type: std_msgs/String, to: plc, limits: {data: 0}}\n", "LAY001", 4, "capacity 0"),
         ("topics:\n\t/a: {}\n", "CFG002", 4, "indented with a tab"),
