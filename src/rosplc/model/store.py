@@ -32,6 +32,7 @@ from rosplc.model._rosbags import DISTROS, EMPTY_MEMBER, bundled_types
 from rosplc.model.folders import parse_paths, read
 from rosplc.model.interfaces import EVENT_INFO, PARTS, derive, describe, kind_of, owners_of, parse_interface
 from rosplc.model.parse import ParsedType, format_value, full_name, parse_definition
+from rosplc.model.types import ActionType, MessageType, ServiceType
 
 # Types that ROS 1 has built in, under another name.
 ROS1_TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
@@ -48,7 +49,7 @@ _WRITTEN |= {12: "float128", 14: "wchar", _STRING: "string", 18: "wstring", 22: 
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144  # added to the element's id
 
 
-def rihs01(message: kinds.MessageType, dependencies: list[kinds.MessageType]) -> str:
+def rihs01(message: MessageType, dependencies: list[MessageType]) -> str:
     """Return the type hash ``RIHS01_<64 hexadecimal digits>``; dependencies are direct and indirect ones."""
     description = {
         "type_description": _describe(message),
@@ -68,7 +69,7 @@ def type_text(type_id: int, capacity: int, string_capacity: int, nested_type_nam
     return element + ("", f"[{capacity}]", f"[<={capacity}]", "[]", "?", "?")[length]
 
 
-def md5_text(message: kinds.MessageType, md5_of: Callable[[str], str]) -> str:
+def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:
     """Return the text whose MD5 identifies a type in ROS 1; ``md5_of`` gives that of a nested type."""
     lines = [f"{c.type} {c.name}={c.text}" for c in message.constants]
     for field in message.fields:
@@ -82,7 +83,7 @@ def md5_text(message: kinds.MessageType, md5_of: Callable[[str], str]) -> str:
     return "\n".join(lines)
 
 
-def _describe(message: kinds.MessageType) -> dict[str, Any]:
+def _describe(message: MessageType) -> dict[str, Any]:
     fields = message.fields or (kinds.Field(EMPTY_MEMBER, kinds.PrimitiveType("uint8")),)
     return {"type_name": message.name, "fields": [_describe_field(field) for field in fields]}
 
@@ -118,13 +119,13 @@ _SINCE_JAZZY: dict[str, dict[str, kinds.Value]] = {
 }
 
 
-def bundled(distro: str) -> tuple[dict[str, kinds.MessageType], dict[str, tuple[str]]]:
+def bundled(distro: str) -> tuple[dict[str, MessageType], dict[str, tuple[str]]]:
     """Return every message of a distribution, with default values, and the texts of services and actions."""
     types = bundled_types(distro)
     version = 1 if distro == "noetic" else 2
     if version == 2:
         types = with_defaults(types, _EVERY_ROS2 if distro == "humble" else _SINCE_JAZZY)
-    own: dict[str, kinds.MessageType] = {}
+    own: dict[str, MessageType] = {}
     interfaces: dict[str, tuple[str]] = {}
     for section in files("rosplc.model").joinpath("interfaces.txt").read_text().split("\n==== ")[1:]:
         head, _, text = section.partition("\n")
@@ -139,8 +140,8 @@ def bundled(distro: str) -> tuple[dict[str, kinds.MessageType], dict[str, tuple[
 
 
 def with_defaults(
-    types: dict[str, kinds.MessageType], defaults: dict[str, dict[str, kinds.Value]]
-) -> dict[str, kinds.MessageType]:
+    types: dict[str, MessageType], defaults: dict[str, dict[str, kinds.Value]]
+) -> dict[str, MessageType]:
     """Return ``types`` with default values; LookupError for a type or field that is missing."""
     result = dict(types)
     for name, values in defaults.items():
@@ -161,7 +162,7 @@ _TIME_FIELDS = (
     kinds.Field("sec", kinds.PrimitiveType("int32")),
     kinds.Field("nanosec", kinds.PrimitiveType("uint32")),
 )
-_BUILTIN = {name: kinds.MessageType(name, _TIME_FIELDS) for name in ROS1_TIMES}
+_BUILTIN = {name: MessageType(name, _TIME_FIELDS) for name in ROS1_TIMES}
 _WORDS = {"msg": "a message", "srv": "a service", "action": "an action"}
 
 
@@ -177,7 +178,7 @@ class TypeStore:
         ros_version: 1 or 2.
     """
 
-    def __init__(self, distro: str, types: Mapping[str, kinds.MessageType]) -> None:
+    def __init__(self, distro: str, types: Mapping[str, MessageType]) -> None:
         self.distro = distro
         self.ros_version = 1 if distro == "noetic" else 2
         self._types = dict(types)
@@ -260,7 +261,7 @@ class TypeStore:
         merged._broken.update(broken)
         return merged
 
-    def __getitem__(self, name: str) -> kinds.MessageType:
+    def __getitem__(self, name: str) -> MessageType:
         """Return a type by ``package/msg/Name`` or ``package/Name``.
 
         Raises MessageTypeError: TYP001 if it is unknown; for a custom type also what is wrong with it or
@@ -301,18 +302,18 @@ class TypeStore:
         full = [full_name(name, kind) for kind in ("msg", *PARTS)]
         return next((each for each in full if each in self._interfaces or each in self), full[0])
 
-    def service(self, name: str) -> kinds.ServiceType:
+    def service(self, name: str) -> ServiceType:
         """Return a service by ``package/srv/Name`` or ``package/Name``; errors as :meth:`__getitem__`.
 
         In ROS 2 also those of an action: ``package/action/Name_SendGoal`` and ``…_GetResult``.
         """
         own = self._interface(name, "srv")
-        return kinds.ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
+        return ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
 
-    def action(self, name: str) -> kinds.ActionType:
+    def action(self, name: str) -> ActionType:
         """Return an action by ``package/action/Name`` or ``package/Name``; errors as :meth:`__getitem__`."""
         own = self._interface(name, "action")
-        return kinds.ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))
+        return ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))
 
     def problems(self) -> tuple[MessageTypeError, ...]:
         """Return what is wrong with custom types and their files; none of it matters until a type is used."""
@@ -410,7 +411,7 @@ class TypeStore:
             if needed in _BUILTIN:
                 self._types.setdefault(needed, _BUILTIN[needed])
 
-    def _find(self, name: str) -> kinds.MessageType | None:
+    def _find(self, name: str) -> MessageType | None:
         """Return a message; those of a service or action are parsed here, when first asked for."""
         if (own := self._types.get(name)) is not None:
             return own
@@ -420,7 +421,7 @@ class TypeStore:
                     self._load(owner)
         return self._parts[name].message if name in self._parts else None
 
-    def _get(self, name: str) -> kinds.MessageType:
+    def _get(self, name: str) -> MessageType:
         found = self._find(name)
         assert found is not None, name
         return found
@@ -517,7 +518,7 @@ class TypeStore:
             if other not in order and not (self.ros_version == 1 and other in ROS1_TIMES):
                 self._collect(other, order)
 
-    def _text(self, message: kinds.MessageType) -> str:
+    def _text(self, message: MessageType) -> str:
         lines = []
         for each in message.constants:
             quoted = self.ros_version == 2 and isinstance(each.value, str)
@@ -540,7 +541,7 @@ def _short(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def _same_shape(one: kinds.MessageType, other: kinds.MessageType) -> bool:
+def _same_shape(one: MessageType, other: MessageType) -> bool:
     fields = [[(f.name, f.type) for f in m.fields] for m in (one, other)]
     return fields[0] == fields[1] and set(one.constants) == set(other.constants)
 
