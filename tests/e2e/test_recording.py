@@ -65,7 +65,7 @@ def write_config(path: Path, recording: Source, prefix: str) -> None:
     lines = [
         f"bridge: {prefix}", f"prefix: {prefix}", "ros: {backend: dds, distro: jazzy}",
         "limits: {string: 200, sequence: 16}",
-        "tasks: {RosTask: {interval: 5ms}}", "topics:",
+        "rosout: {bridge: false}", "tasks: {RosTask: {interval: 5ms}}", "topics:",
     ]  # fmt: skip
     for topic in recording.topics.values():
         type_name = renamed(topic.type_name, JAZZY)

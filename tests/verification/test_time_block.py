@@ -76,7 +76,8 @@ def test_ros_time_between_messages(joint: Joint, clock: SteppedClock, factor: fl
     for _ in range(300):
         run(joint, clock, 10, factor)
         now = joint.get("ros_time", "uliNow")
-        assert 5 * MS < now - before < 15 * MS
+        # A message corrects by half a scan at most, and by what the clocks may have drifted apart.
+        assert abs(now - before - 10 * MS) <= 5 * MS + MS // 10
         before = now
     uncertainty, jumps, sim, paused = joint.get("ros_time", "uliUncertainty", "udiJumps", "xSim", "xPaused")
     assert 0 < uncertainty <= most(joint)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 from unittest import mock
 
+from rosplc import shm
 from rosplc.layout.view import plain
 from rosplc.shm import attach
 from rosplc.shm.constants import UNKNOWN
-from rosplc.virtual_plc import ReadBlock, WriteBlock, block
+from rosplc.virtual_plc import ReadBlock, WriteBlock
 from rosplc.virtual_plc.task import Scan, enter_scan
 from rosplc_st.machine import Counters
 from tests.verification.plc_cell import READ, TOPICS, TWIST, WRITE, layout_of
@@ -76,7 +77,7 @@ class VirtualMachine:
         for _ in range(count):
             self._ms += step
             enter_scan(Scan("RosTask", 1, self._ms * 1_000_000))
-            with mock.patch.object(block, "attach", self._attach):
+            with mock.patch.object(shm, "attach", self._attach):
                 for program in programs:
                     if program == "Consume":
                         self._consume()
