@@ -77,15 +77,17 @@ class VirtualMachine:
         for _ in range(count):
             self._ms += step
             enter_scan(Scan("RosTask", 1, self._ms * 1_000_000))
-            with mock.patch.object(shm, "attach", self._attach):
-                for program in programs:
-                    if program == "Consume":
-                        self._consume()
-                    start = {READ: "ROS_Read", WRITE: "ROS_Write"}.get(program, program)
-                    for path, instance in self._blocks.items():
-                        if path.startswith(start):
-                            instance()
-            enter_scan(None)
+            try:
+                with mock.patch.object(shm, "attach", self._attach):
+                    for program in programs:
+                        if program == "Consume":
+                            self._consume()
+                        start = {READ: "ROS_Read", WRITE: "ROS_Write"}.get(program, program)
+                        for path, instance in self._blocks.items():
+                            if path.startswith(start):
+                                instance()
+            finally:
+                enter_scan(None)
 
     def set_time(self, milliseconds: int) -> None:
         """Set the clock that the scans begin at."""
