@@ -195,7 +195,7 @@ def test_the_plc_is_told_that_a_program_ends(
 ) -> None:
     """Its goal is aborted when the block ends, whether or not the handler comes to a ``yield``."""
     client = ActionClient("/count", prefix=shm_namespace.prefix, beat_ms=10_000)
-    task, go_on, closed = Task("T", 0.002), Event(), Event()
+    task, waits, go_on, closed = Task("T", 0.002), Event(), Event(), Event()
     if not patient:
         monkeypatch.setattr(bind_service, "_PATIENCE_S", 0.2)
 
@@ -209,13 +209,14 @@ def test_the_plc_is_told_that_a_program_ends(
         try:
             while True:
                 yield {"sequence": [1]}
+                waits.set()
                 go_on.wait(0.02 if patient else None)
         finally:
             closed.set()
 
     with rosplc.bind_action("/count", FIBONACCI, count, prefix=shm_namespace.prefix):
         task.start()
-        wait_for(lambda: client.xNewFeedback or client.xActive, "the goal's beginning")
+        assert waits.wait(60), "a handler that has come to no yield yet may still be closed at its first"
     try:
         wait_for(lambda: client.xError or client.xAborted, "the end")
         assert client.eError.name == "GOAL_ABORTED"
