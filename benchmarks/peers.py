@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
@@ -83,7 +83,7 @@ def stamp_places(distro: str) -> tuple[int, int]:
 def patterns(distro: str = "jazzy") -> tuple[Callable[[int], Pattern], Callable[[int], Pattern]]:
     """Return how messages of a topic look on the wire, and how as records."""
     layout = compute_layout(TypeStore.bundled(distro), TYPE, Limits(string=STRING))
-    codec = Codec(layout, Wire.ROS1 if distro == ROS1 else Wire.CDR)
+    codec = Codec(layout)
     record = bytes(codec.layout.pack({"header": {"frame_id": "f" * STRING}}))
     wire = codec.encode(record)
     on_wire, in_record = stamp_places(distro)

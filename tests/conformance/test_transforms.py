@@ -9,7 +9,7 @@ import pytest
 
 from rosplc.bridge.port import Context
 from rosplc.bridge.transforms import Transforms
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.config.transforms import TF_MESSAGE, TransformError
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
@@ -31,7 +31,7 @@ LATCHED = Qos(durability="transient_local", depth=1)
 def test_static_transforms_of_several_nodes_from_before(graph: Harness, shm_namespace: Namespace) -> None:
     """Each node's last message is received by a bridge that comes later, and moving ones from then on."""
     store = TypeStore.bundled(graph.opening("any").distro)
-    codec = Codec(compute_layout(store, TF_MESSAGE), Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
+    codec = Codec(compute_layout(store, TF_MESSAGE))
 
     def message(child: str, parent: str, seconds: int) -> bytes:
         transform = {"translation": {"x": 1.0}, "rotation": {"w": 1.0}}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 
@@ -76,7 +76,7 @@ def read(topic: int, data: Any) -> Stamp | None:
 def wire_codec(store: TypeStore) -> Codec:
     """Return what ROS peers convert the messages with."""
     layout = compute_layout(store, TYPE, Limits(fields={"data": CAPACITY + 64}))
-    return Codec(layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
+    return Codec(layout)
 
 
 GENERATIONS = 1 << 16

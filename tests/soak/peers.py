@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, Qos, open_backend
@@ -88,7 +88,7 @@ def subscribe(counters: Counters, kind: str, where: str, topics: list[str]) -> N
     }
     fields = {"status": 32, "status[].values": 24}
     layout = compute_layout(store, _DIAGNOSTICS, Limits(string=300, sequence=24, fields=fields))
-    reader = Codec(layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
+    reader = Codec(layout)
     backend.subscribe(
         "/diagnostics",
         _DIAGNOSTICS,

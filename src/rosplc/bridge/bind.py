@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from rosplc.clock import SYSTEM, Clock
-from rosplc.codec import Codec, Fault, Wire
+from rosplc.codec import Codec, Fault
 from rosplc.described import description_of
 from rosplc.errors import ChannelError, MessageTypeError
 from rosplc.layout import Limits, compute_layout
@@ -84,7 +84,7 @@ def bind(
         store = store.with_definition(type_name, definition)
     layout = compute_layout(store, type_name, _limits(limits))
     description = description_of(layout, topic, _DIRECTIONS[direction], bridge=name, distro=chosen)
-    codec = Codec(layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
+    codec = Codec(layout)
 
     names = Namespace(prefix, directory)
     size = layout.size

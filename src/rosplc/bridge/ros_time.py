@@ -6,7 +6,7 @@ import struct
 import threading
 
 from rosplc.clock import Clock
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.config.resolve import Project
 from rosplc.layout import compute_layout
 from rosplc.ros import Backend, EndpointStatus, OnMessage, Qos, Subscription, fields
@@ -23,8 +23,7 @@ class RosTime:
     def __init__(self, project: Project, backend: Backend, clock: Clock, sim: bool) -> None:
         self._store, self._clock, self._sim = project.store, clock, sim
         self._type = project.topic(TOPIC).type_name
-        wire = Wire.ROS1 if project.store.ros_version == 1 else Wire.CDR
-        self._codec = Codec(compute_layout(project.store, _CLOCK_TYPE), wire)
+        self._codec = Codec(compute_layout(project.store, _CLOCK_TYPE))
         self._lock = threading.Lock()
         self._on_message: OnMessage | None = None
         self._sim_ns = self._written_ns = self._count = 0

@@ -9,7 +9,7 @@ from typing import Any
 
 from rosplc.bridge.port import RepeatedWarnings, log
 from rosplc.clock import Clock
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.config.resolve import Project
 from rosplc.harmless import harmless, plural
 from rosplc.ros import Backend, Publisher, Qos, fields
@@ -90,7 +90,7 @@ class PlcLog:
 
     def __init__(self, rosout: Rosout, project: Project, clock: Clock) -> None:
         self._layout = project.topic(TOPIC).layout
-        self._codec = Codec(self._layout, Wire.ROS1 if project.store.ros_version == 1 else Wire.CDR)
+        self._codec = Codec(self._layout)
         self._rosout, self._now = rosout, clock.monotonic_ns
         self._since, self._lines = self._now(), 0
 

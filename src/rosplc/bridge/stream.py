@@ -11,7 +11,7 @@ from rosplc.bridge import hold
 from rosplc.bridge.hold import Hold, Silence, Stage
 from rosplc.bridge.port import Context, Counters, Notes, Port, Ports, log
 from rosplc.bridge.status import TopicStatus
-from rosplc.codec import TRUNCATED, Codec, Fault, Wire
+from rosplc.codec import TRUNCATED, Codec, Fault
 from rosplc.config.plans import flag_topic
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import TopicPlan
@@ -35,7 +35,7 @@ class Stream(Notes, ABC):
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         super().__init__(plan, context)
         self.plan = plan
-        self.codec = Codec(plan.layout, Wire.ROS1 if plan.layout.store.ros_version == 1 else Wire.CDR)
+        self.codec = Codec(plan.layout)
         self.counters = Counters()
         self._endpoint: Subscription | Publisher | None = None
         self._now = context.clock.monotonic_ns
@@ -278,7 +278,7 @@ class ToRos(Stream):
             send, changed = self._send_substitute, self._substitutes
             self._substitute = hold.Substitute(self.silence, stale.period_ns, send, changed)
             layout = compute_layout(plan.layout.store, _BOOL)
-            flag = Codec(layout, self.codec.wire)
+            flag = Codec(layout)
             self._flags = {state: flag.encode(layout.pack({"data": state})) for state in (False, True)}
             self.hold.stages.append(self._substitute)
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 from rosplc.bridge import hold
 from rosplc.bridge.port import Context
 from rosplc.bridge.stream import ToPlc
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.config.resolve import TopicPlan
 from rosplc.config.transforms import FRAME_BYTES, TF_MESSAGE, TransformError
 from rosplc.errors import CodecError
@@ -171,13 +171,13 @@ class Buffer:
         return time_ns, parent, before
 
 
-def _reader(like: Layout, wire: Wire, room: int) -> Callable[[bytes], Iterator[tuple[Any, ...]]]:
+def _reader(like: Layout, room: int) -> Callable[[bytes], Iterator[tuple[Any, ...]]]:
     """Return what yields stamp, parent, child and pose of the transforms in a message, ``room`` at most."""
     layout = compute_layout(like.store, TF_MESSAGE, Limits(_LONGEST_FRAME, room, {}))
     fields = {path.removeprefix("transforms[]."): offset for path, offset, _ in layout.fields()}
     first, pose = fields["header.stamp.sec"], fields["transform.translation.x"]
     head = f"=iI{_LONGEST_FRAME + 1}s{_LONGEST_FRAME + 1}s"
-    one, codec = Struct(f"{head}{pose - first - Struct(head).size}x7d"), Codec(layout, wire)
+    one, codec = Struct(f"{head}{pose - first - Struct(head).size}x7d"), Codec(layout)
     stride = (layout.size - fields["transforms"]) // room
 
     def read(data: bytes) -> Iterator[tuple[Any, ...]]:
@@ -220,7 +220,7 @@ class Transforms:
     def _receive(self, topic: str, like: Codec, readers: dict[int, Any], data: bytes, _: int) -> None:
         # Messages of each size have a codec with just enough room; no transform has less than 72 bytes.
         room = min(_MOST, 1 << (len(data) // 72).bit_length())
-        read = readers.get(room) or readers.setdefault(room, _reader(like.layout, like.wire, room))
+        read = readers.get(room) or readers.setdefault(room, _reader(like.layout, room))
         warn = partial(self._context.warnings.warn, now_ns=self._context.clock.monotonic_ns())
         try:
             for stamp_ns, parent, child, pose in read(data):

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from rosplc.bridge.hold import Hold
 from rosplc.bridge.port import Context, Notes, log
 from rosplc.bridge.status import ActionStatus, ServiceStatus
-from rosplc.codec import Codec, Fault, Wire
+from rosplc.codec import Codec, Fault
 from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import describe
 from rosplc.errors import BackendError, ChannelError, RosplcError
@@ -60,9 +60,7 @@ class Use(Notes, ABC):
         super().__init__(plan, context)
         self.plan = plan
         self.port = self.side = self
-        ros1 = plan.layouts[0].store.ros_version == 1
-        layouts = ((part, plan.layout(part)) for part in plan.parts)
-        self._codecs = {part: Codec(one, Wire.ROS1 if ros1 else Wire.CDR) for part, one in layouts}
+        self._codecs = {part: Codec(plan.layout(part)) for part in plan.parts}
         self.adopted = False
         self.hold = Hold((), lambda *_: None)
         self.events: deque[Any] = deque()

@@ -10,7 +10,6 @@ import numpy
 import yaml
 
 from rosplc.codec import Codec
-from rosplc.init.found import wire_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.nodes import limit_paths
 from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore
@@ -32,7 +31,7 @@ class Writer:
         _note_lengths(_with_time(store, type_name, value), "", lengths)
         known = set(limit_paths(store, type_name))
         capacities = {path: max(1, length) for path, length in lengths.items() if path in known}
-        self._codec = Codec(compute_layout(store, type_name, Limits(fields=capacities)), wire_of(store))
+        self._codec = Codec(compute_layout(store, type_name, Limits(fields=capacities)))
 
     def __call__(self) -> bytes:
         """Return the message as it is now. Raises LayoutError LAY006, naming the field that does not fit."""

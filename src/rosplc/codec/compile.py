@@ -310,11 +310,12 @@ TRUNCATED = 2  # Bit of the flags: something was cut off to fit (spec/shm-format
 class Codec:
     """Turns messages of one type and wire into records of one layout, and back.
 
-    ``plan`` is what the C core executes; ``publish_wire`` and groups take it. Raises MessageTypeError TYP007
-    if the type nests sequences deeper than the executor goes.
+    Without ``wire`` it is that of the layout's ROS. ``plan`` is what the C core executes; groups take it, and
+    ``publish_wire``. Raises MessageTypeError TYP007 for sequences nested deeper than the executor goes.
     """
 
-    def __init__(self, layout: Layout, wire: Wire) -> None:
+    def __init__(self, layout: Layout, wire: Wire | None = None) -> None:
+        wire = wire or (Wire.ROS1 if layout.store.ros_version == 1 else Wire.CDR)
         compiled = compile_plan(layout.root, wire)
         self.layout = layout
         self.wire = wire

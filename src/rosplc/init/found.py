@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec
 from rosplc.errors import LayoutError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, StringType, TypeStore
@@ -107,11 +107,6 @@ class Meter:
         return self.seen
 
 
-def wire_of(store: TypeStore) -> Wire:
-    """Return how messages of a store's types are serialized."""
-    return Wire.CDR if store.ros_version == 2 else Wire.ROS1
-
-
 class Reader:
     """Decodes messages of one type, which the store knows, whatever their lengths."""
 
@@ -137,7 +132,7 @@ class Reader:
                 raise LayoutError(
                     "LAY003", f"a message of {len(data)} bytes needs {layout.size} bytes to be shown"
                 )
-            self._codec, self._capacities = Codec(layout, wire_of(self._store)), capacities
+            self._codec, self._capacities = Codec(layout), capacities
         return self._codec.layout.to_dict(self._codec.decode(data))
 
 

@@ -26,7 +26,7 @@ from rosplc.config import Project, read_config, resolve
 from rosplc.config.file import LEARNT, Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.harmless import one_line
-from rosplc.init.found import Reader, wire_of
+from rosplc.init.found import Reader
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
@@ -180,7 +180,7 @@ def _ask(
             if status.code or clock.monotonic_ns() > end:
                 raise _refused(status.reason or "its service is not ready")
             clock.sleep(50_000_000)
-        client.call(Codec(layout, wire_of(store)).encode(layout.pack(request)), replies.put)
+        client.call(Codec(layout).encode(layout.pack(request)), replies.put)
         reply = replies.get(timeout=_PATIENCE_S)
     except queue.Empty:
         raise _refused(f"no answer within {_PATIENCE_S:g} s") from None
