@@ -192,7 +192,7 @@ def test_a_bridge_killed_before_the_plc_takes(joint: Joint) -> None:
     answers = asker.begin("SetParametersAtomically", parameters=wishes({"count": 5, "max_speed": 1.5}))
     joint.scan = lambda *_, **__: None  # type: ignore[method-assign]
     assert isinstance(joint.bridge, object)
-    given = joint.bridge._parameters  # type: ignore[union-attr]
+    given = joint.bridge._own.parameters  # type: ignore[union-attr]
     joint.until(lambda: given._sets and given._sets[0].number, "the set in the object")
     joint.stop_bridge()
     assert not answers

@@ -7,7 +7,6 @@ publishes diagnostics. An error in one topic stops no other, and a ROS side that
 
 from __future__ import annotations
 
-import logging
 import secrets
 import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -15,11 +14,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
-from rosplc.bridge import ros_time, rosout
 from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
-from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.leftovers import Leaving, check_names, leaving, retire_leftovers
-from rosplc.bridge.parameters import PlcParameters
+from rosplc.bridge.own import OwnTopics
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.ros_side import LiveTypes, RosSide
@@ -34,7 +31,6 @@ from rosplc.config.transforms import TF_MESSAGE
 from rosplc.config.yaml_source import Problems
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
-from rosplc.ros.parameters import Parameter, ParameterServer, shown_parameters
 from rosplc.shm import Namespace
 
 _MAY_CHANGE = {"topics", "services", "actions", "transforms", "limits", "types", "tasks", "programs"}
@@ -256,7 +252,6 @@ _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_Feedback
 _CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
 _APPLY = "`rosplc reload` or a restart of the bridge applies it"
-_NOT_SERVED = "the node serves its own parameters: those of the configuration are not seen in ROS"
 _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
 """Something of a stranger's is at an object's name: that topic is not carried, and looked at again later."""
 
@@ -287,7 +282,7 @@ class Bridge:
         self._types = LiveTypes(self.project.store)
         self._streams: tuple[Carried, ...] = ()
         self._leaving: tuple[Leaving, ...] = ()
-        self._parameters: PlcParameters | None = None
+        self._own: OwnTopics | None = None
         self._carriers: Carriers | None = None
         # called once, with the reason, if the ROS side ends for good; the bridge itself only says so,
         # since it may be part of a larger program
@@ -296,7 +291,6 @@ class Bridge:
         self._changing = threading.Lock()  # reload and check exclude each other
         self._refused = ""
         self._open = ExitStack()
-        self._own_topics: dict[str, Any] = {}  # what has a topic of the bridge's in the backend's place
         self._realtime = Realtime(self.config)
         self._heartbeat: Rounds | None = None
         self._warnings: tuple[str, ...] = ()
@@ -355,21 +349,7 @@ class Bridge:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
         check_types(self.backend, names)
         duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
-        own_log = settings.rosout.bridge and "--disable-rosout-logs" not in self._ros.arguments.others
-        if own_log or settings.rosout.plc:
-            lines = rosout.Rosout(self.project, self.backend, self._clock)
-            stack.callback(lines.leave)
-            duties.append(Duty("logging", rosout.PERIOD_NS, lines.send))
-            if settings.rosout.plc:
-                self._own_topics[rosout.TOPIC] = rosout.PlcLog(lines, self.project, self._clock)
-            if own_log:
-                logging.getLogger("rosplc").addHandler(lines)
-        if settings.time.plc:
-            sim = Parameter("use_sim_time", "bool", settings.time.use_sim_time)
-            given = self._ros.given([sim]).get(sim.name, sim.value)
-            time = ros_time.RosTime(self.project, self.backend, self._clock, given)
-            beats.append(Duty("telling the time", ros_time.PERIOD_NS, time.write))
-            self._own_topics[ros_time.TOPIC] = time
+        own = self._own = OwnTopics(self.project, self._ros, self.backend, self.status, self._clock, stack)
         # Until here nothing in shared memory has been touched.
         self._leaving = tuple(leaving(self.project, context))
         for use in self._leaving:
@@ -383,45 +363,24 @@ class Bridge:
             self._open_port(stream)
         self._types.use(self.project.plans)
         stack.callback(self._disconnect)
-        shown = shown_parameters(self._ros.shown())
-        if (asked := self.project.parameters) is not None:
-            given = self._ros.given(asked.declared)
-            parameters = self._parameters = PlcParameters(asked, self.project.store, given, self._clock)
-            inner = [each for each in self._streams if isinstance(each, Stream) and each.plan.of_parameters]
-            self._own_topics |= {each.plan.topic: parameters for each in inner}
-            if self._owns_backend or self.backend.name != "rclpy":
-                stack.callback(parameters.serve(self.backend, shown, inner).close)
-            else:
-                self._warnings = (*self._warnings, _NOT_SERVED)
-                log.warning("%s", _NOT_SERVED)
-        # A node that was given, and rclpy's, serves its own.
-        elif self._owns_backend and self.backend.name != "rclpy" and self.project.store.ros_version == 2:
-            server = ParameterServer(self.backend, self.project.store, shown, clock=self._clock)
-            stack.callback(server.close)
+        self._warnings += own.serve(self._streams, owned=self._owns_backend)
         for stream in self._streams:
             self._connect(stream)
-        if settings.diagnostics.enabled:
-            diagnostics = Diagnostics(self.project.store, self.backend, self._clock)
-            stack.callback(diagnostics.close)
-            period = settings.diagnostics.period_ns
-            duties.append(
-                Duty("reporting", period, lambda: diagnostics.publish(self.status()), due_ns=period)
-            )
         stack.callback(carriers.stop)
         carriers.replace((), self._streams)
-        if self._parameters is not None:
-            self._parameters.begin()
-        heartbeat = self._heartbeat = Rounds("rosplc-heartbeat", self._clock, *beats)
+        own.begin()
+        heartbeat = self._heartbeat = Rounds("rosplc-heartbeat", self._clock, *beats, *own.beats)
         heartbeat.start()
         stack.callback(heartbeat.stop)
         self._realtime.rest()
-        reporter = Rounds("rosplc-reporter", self._clock, *duties)
+        reporter = Rounds("rosplc-reporter", self._clock, *duties, *own.duties)
         reporter.start()
         stack.callback(reporter.stop)
 
     def _connect(self, stream: Carried) -> None:
-        assert self.backend is not None
-        stream.connect(self._own_topics.get(stream.plan.name, self.backend))
+        assert self.backend is not None and self._own is not None
+        end: Any = self._own.ends.get(stream.plan.name, self.backend)
+        stream.connect(end)
 
     def _close_backend(self) -> None:
         if self._owns_backend and self.backend is not None:
@@ -587,8 +546,6 @@ class Bridge:
             except Exception as error:  # one topic's trouble is no other's
                 log.exception("%s: the check failed", stream.plan.name)
                 stream.fail(now_ns, error)
-        if self._parameters is not None:
-            self._parameters.check(now_ns)
         if not self._config_changed and self._file_state() != self._file_seen:
             log.warning("%s: configuration changed on disk; %s", self.config.path, _APPLY)
             self._config_changed = True

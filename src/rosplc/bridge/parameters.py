@@ -1,8 +1,7 @@
 """Parameters of the bridge's node that are variables of the PLC.
 
-To the streams of the two topics this is the ROS side (:class:`rosplc.ros.backend.Backend`): what ROS wants is
-published here, and what the PLC has is subscribed to. One set is under way at a time. It has the number that
-the PLC shows once all of its values are in place, and is refused when the PLC is not seen to live any more.
+One set is under way at a time. It has the number that the PLC shows once all of its values are in place, and
+is refused when the PLC is not seen to live any more.
 """
 
 from __future__ import annotations
@@ -15,12 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rosplc.bridge.stream import Stream
+from rosplc.bridge.stream import OwnEnd, Stream
 from rosplc.clock import Clock
 from rosplc.config.parameters import TYPE, ParametersPlan
 from rosplc.model import TypeStore
-from rosplc.ros import Backend, EndpointStatus, Qos, fields
-from rosplc.ros.backend import OnMessage
+from rosplc.ros import Backend, fields
 from rosplc.ros.parameters import Done, Parameter, ParameterServer
 
 _log = logging.getLogger("rosplc.bridge")
@@ -40,44 +38,20 @@ class _Set:
     number: int = 0
 
 
-class PlcParameters:
+class PlcParameters(OwnEnd):
     """The PLC's parameters; ``given`` replaces configured values, as from ``--params-file``."""
-
-    name, capabilities = "parameters", frozenset[str]()
 
     def __init__(
         self, plan: ParametersPlan, store: TypeStore, given: Mapping[str, Any], clock: Clock
     ) -> None:
+        super().__init__()
         self.plan, self.store, self.clock = plan, store, clock
         self.values = {each.name: each.value for each in plan.declared} | dict(given)
         self._sets: deque[_Set] = deque()
         self._number = 0  # of the last set that the PLC has taken; 0: none
         self._lock = threading.RLock()
         self._server: ParameterServer | None = None
-        self._give: OnMessage = lambda _data, _stamp: None
         self._streams: Sequence[Stream] = ()
-
-    # -- what the streams see: a backend that is the end of both
-
-    matched = 1
-
-    def subscribe(self, _topic: str, _type: str, _qos: Qos, on_message: OnMessage) -> PlcParameters:
-        """Take how the PLC is given what is wanted."""
-        self._give = on_message
-        return self
-
-    def advertise(self, *_: object) -> PlcParameters:
-        """Return what the PLC's values are given to."""
-        return self
-
-    def status(self) -> EndpointStatus:
-        """Return that somebody listens and speaks."""
-        return EndpointStatus("", TYPE, "in", self.matched)
-
-    def close(self) -> None:
-        """Nothing."""
-
-    # -- the bridge's side
 
     def serve(self, backend: Backend, shown: list[Parameter], streams: Sequence[Stream]) -> ParameterServer:
         """Serve these, and what the node shows; the streams are connected. Raises as ``serve`` does."""
@@ -113,14 +87,14 @@ class PlcParameters:
 
     def _put(self, number: int, values: Mapping[str, Any]) -> None:
         named = {field: values[name] for name, field in self.plan.fields.items()}
-        self._give(fields.pack(self.store, TYPE, {"number": number, "values": named}), self.clock.time_ns())
+        self.give(fields.pack(self.store, TYPE, {"number": number, "values": named}), self.clock.time_ns())
 
     def _restore(self) -> None:
         """Have a PLC that begins without values take those that are known here."""
         with self._lock:
             self._put(secrets.randbits(63) | 1, self.values)
 
-    def write(self, payload: bytes, _stamp_ns: int) -> bool:
+    def write(self, payload: bytes, stamp_ns: int) -> bool:
         """Take what holds in the PLC."""
         found = fields.unpack(self.store, TYPE, payload)
         ended = None
@@ -144,9 +118,9 @@ class PlcParameters:
             self._next()
         return True
 
-    def check(self, now_ns: int) -> None:
+    def check(self) -> None:
         """Refuse what the PLC does not take, each second."""
-        late = []
+        late, now_ns = [], self.clock.monotonic_ns()
         with self._lock:
             self._next()
             alive = self._alive

@@ -8,11 +8,12 @@ from collections import deque
 from typing import Any
 
 from rosplc.bridge.port import RepeatedWarnings, log
+from rosplc.bridge.stream import OwnEnd
 from rosplc.clock import Clock
 from rosplc.codec import Codec
 from rosplc.config.resolve import Project
 from rosplc.harmless import harmless, plural
-from rosplc.ros import Backend, Publisher, Qos, fields
+from rosplc.ros import Backend, EndpointStatus, Publisher, Qos, fields
 
 PERIOD_NS = 200_000_000  # time between two times of :meth:`Rosout.send`
 TOPIC = "/rosout"
@@ -85,21 +86,24 @@ class Rosout(logging.Handler):
         self.publisher.close()
 
 
-class PlcLog:
-    """In the backend's place for the PLC's own topic ``/rosout``: completes its lines, and limits them."""
+class PlcLog(OwnEnd):
+    """Completes the lines of the PLC's own topic ``/rosout``, and limits them."""
 
     def __init__(self, rosout: Rosout, project: Project, clock: Clock) -> None:
+        super().__init__()
         self._layout = project.topic(TOPIC).layout
         self._codec = Codec(self._layout)
         self._rosout, self._now = rosout, clock.monotonic_ns
         self._since, self._lines = self._now(), 0
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._rosout.publisher, name)
+    @property
+    def matched(self) -> int:  # type: ignore[override]
+        """The subscribers of ``/rosout``."""
+        return self._rosout.publisher.matched
 
-    def advertise(self, *_: object) -> PlcLog:
-        """Return the publisher that the topic's stream writes to: this one."""
-        return self
+    def status(self) -> EndpointStatus:
+        """Return the state of the bridge's publisher."""
+        return self._rosout.publisher.status()
 
     def write(self, payload: bytes, stamp_ns: int) -> bool:
         """Take a line; one beyond the limit is counted, and the count logged later."""
@@ -113,6 +117,3 @@ class PlcLog:
             before = f" ({plural(line['line'], 'line')} before it suppressed by the PLC)" * bool(line["line"])
             self._rosout.put(line["level"], harmless(line["msg"]) + before, ".plc", stamp_ns)
         return True
-
-    def close(self) -> None:
-        """Nothing: the publisher is the bridge's."""

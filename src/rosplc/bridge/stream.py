@@ -17,7 +17,7 @@ from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import TopicPlan
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.layout import compute_layout
-from rosplc.ros import Backend, EndpointStatus, Publisher, Qos, Subscription
+from rosplc.ros import Backend, EndpointStatus, OnMessage, Publisher, Qos, Subscription
 from rosplc.shm import Direction
 from rosplc.shm.constants import FLAG_FIRST, STAMP_SYSTEM
 
@@ -430,3 +430,36 @@ class ToRos(Stream):
         if self._flag is not None:
             with suppress(RosplcError):  # the topic's own messages meet the same trouble, and it is noted
                 self._flag.write(self._flags[active])
+
+
+class OwnEnd:
+    """The other end of topics between the bridge itself and the PLC: what their streams have as ROS side.
+
+    One that takes messages of the PLC's has a method ``write`` as a publisher has.
+    """
+
+    matched = 1
+
+    def __init__(self) -> None:
+        self.give: OnMessage = _dropped  # gives the PLC a message
+
+    def subscribe(self, _topic: str, _type: str, _qos: Qos, on_message: OnMessage) -> OwnEnd:
+        """Take how the PLC is given a message."""
+        self.give = on_message
+        return self
+
+    def advertise(self, *_: object) -> OwnEnd:
+        """Return what takes the PLC's messages."""
+        return self
+
+    def status(self) -> EndpointStatus:
+        """Return that somebody listens and speaks."""
+        return EndpointStatus("", "", "in", self.matched)
+
+    def close(self) -> None:
+        """Give the PLC nothing more."""
+        self.give = _dropped
+
+
+def _dropped(_data: bytes, _stamp_ns: int) -> None:
+    return
