@@ -1,14 +1,18 @@
-"""Parameters over ``dds`` while the bridge is killed between a set and its taking: whole, or not at all."""
+"""Parameters while the bridge is killed between a set and its taking: whole, or not at all."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import random
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
 
 from rosplc.ros import Qos, Reply, fields
 from tests.interop.graphs import LOCAL, free_domain
+from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import repeat_until
 from tests.verification.joint import Joint, made_joint
 from tests.verification.plc_cell import store
@@ -16,7 +20,7 @@ from tests.verification.plc_cell import store
 pytestmark = pytest.mark.timeout(300)
 
 CONFIG = """bridge: params
-ros: {backend: dds, domain: DOMAIN}
+ros: {domain: DOMAIN, SIDE}
 shm: {directory: FOLDER}
 diagnostics: {enabled: false}
 parameters:
@@ -24,6 +28,12 @@ parameters:
 """
 SET, GET = "rcl_interfaces/srv/SetParametersAtomically", "rcl_interfaces/srv/GetParameters"
 ROUNDS = 12
+
+
+def configured(backend: str, domain: int, options: Mapping[str, object]) -> str:
+    """Return the configuration on a backend with its own settings."""
+    side = f"backend: {backend}" + (f", {backend}: {json.dumps(options)}" if options else "")
+    return CONFIG.replace("DOMAIN", str(domain)).replace("SIDE", side)
 
 
 class Cell:
@@ -77,14 +87,26 @@ class Cell:
         return [each["integer_value"] for each in found["values"]]
 
 
-def test_kills_between_a_set_and_its_taking(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextlib.contextmanager
+def zenoh_router() -> Iterator[dict[str, Any]]:
+    """Give the settings of nodes whose only way is a router: nothing is lost because links change."""
+    with free_port() as port, Router(port) as router:
+        yield {"mode": "client", "connect": [router.endpoint]}
+
+
+@pytest.mark.parametrize("backend", ["dds", "zenoh"])
+def test_kills_between_a_set_and_its_taking(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The PLC never has half of a set; what was confirmed stays; the next bridge tells what the PLC has."""
+    pytest.importorskip({"dds": "cyclonedds", "zenoh": "zenoh"}[backend])
     for name, value in LOCAL.items():
         monkeypatch.setenv(name, value)
     dice, outcomes = random.Random(28), {"taken": 0, "not": 0}
     with (
         free_domain() as domain,
-        made_joint(CONFIG.replace("DOMAIN", str(domain)), "ROS_Parameters", domain, "dds") as joint,
+        zenoh_router() if backend == "zenoh" else contextlib.nullcontext({}) as options,
+        made_joint(
+            configured(backend, domain, options), "ROS_Parameters", domain, backend, options=options
+        ) as joint,
     ):
         cell = Cell(joint)
         joint.until(lambda: cell.clients[SET].ready, "the services")
@@ -94,7 +116,7 @@ def test_kills_between_a_set_and_its_taking(monkeypatch: pytest.MonkeyPatch) -> 
             assert first == {"result": {"successful": True, "reason": ""}}
             assert cell.scan() == (before, before)
             ended = cell.set(before + 1)
-            for _ in range(dice.randrange(12)):
+            for _ in range(dice.randrange({"dds": 12, "zenoh": 60}[backend])):
                 cell.scan()
             joint.kill_bridge()
             for _ in range(20):
@@ -107,4 +129,4 @@ def test_kills_between_a_set_and_its_taking(monkeypatch: pytest.MonkeyPatch) -> 
             joint.start_bridge()
             joint.until(lambda now=now: cell.values() == [now, now], "what the PLC has")
             assert cell.scan() == (now, now)
-    print("COUNTED", outcomes)
+    print("COUNTED", backend, outcomes)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -68,9 +68,10 @@ class Joint:
         config: The configuration.
         gvl: The list of the instances.
         domain: The ROS domain.
-        backend: ``memory``, or ``dds``: the bridge is a process of its own then.
+        backend: ``memory``, or another: the bridge is a process of its own then.
         own, delayed: As for :func:`built`.
         clock: The bridge's, with ``memory``.
+        options: The backend's own, for the node on the other side.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class Joint:
         own: str = "",
         clock: Clock = SYSTEM,
         delayed: bool = False,
+        options: Mapping[str, object] | None = None,
     ) -> None:
         self.clock = clock
         self.config, self.gvl, self.backend = config, gvl, backend
@@ -89,7 +91,7 @@ class Joint:
         made, self.programs = built(config, own, delayed)
         self.machine = LibraryMachine(made, str(self.folder))
         self.machine.start()
-        self.peer = open_backend(backend, store(), "peer", domain=domain)
+        self.peer = open_backend(backend, store(), "peer", domain=domain, options=options or {})
         self.bridge: Bridge | subprocess.Popen[bytes] | None = None
         self.start_bridge()
 

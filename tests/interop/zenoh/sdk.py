@@ -132,9 +132,14 @@ class SdkPeer:
 
     def call(self, service: str, text: str) -> SdkInbox:
         """Call ``diagnostic_msgs/srv/AddDiagnostics``; return what is answered."""
+        return self.ask(service, ADD, _ADD_DEFINITIONS, {"load_namespace": text})
+
+    def ask(
+        self, service: str, kind: str, definitions: list[str], fields: dict[str, Any], **more: Any
+    ) -> SdkInbox:
+        """Call a service; ``more`` may be its type's ``hash``, and the types of ``nested`` fields."""
         inbox = self._inboxes.setdefault(service, SdkInbox())
-        fields = {"load_namespace": text}
-        self.tell(call=service, type=ADD, definitions=_ADD_DEFINITIONS, fields=fields)
+        self.tell(call=service, type=kind, definitions=definitions, fields=fields, **more)
         return inbox
 
     def kill(self) -> None:

@@ -2,8 +2,9 @@
 
 Nothing of the project is imported. It takes ``subscribe`` or ``advertise`` (a topic, with ``type``,
 ``definition`` and ``qos``), ``publish`` (a topic, with ``messages``: each its fields), ``serve`` or ``call``
-(a service, with ``type`` and ``definitions``; a call with ``fields``, and what a server answers is TRUE and
-the request's text). It prints ``{"ready": topic}`` and ``{"heard": topic, "message": fields}``.
+(a service, with ``type`` and ``definitions``; a call with ``fields``, and perhaps its type's ``hash`` and the
+types of ``nested`` fields; what a server answers is TRUE and the request's text). It prints
+``{"ready": topic}`` and ``{"heard": topic, "message": fields}``.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from zenoh_ros2_sdk import ROS2Publisher, ROS2ServiceClient, ROS2ServiceServer, ROS2Subscriber
+from zenoh_ros2_sdk.session import ZenohSession
 
 ARRAYS = {
     "values": np.float64,
@@ -51,9 +53,18 @@ def plain(value: Any) -> Any:
     return value
 
 
-def given(fields: dict[str, Any]) -> dict[str, Any]:
-    """Return a message's fields as the SDK takes them."""
-    return {k: np.array(v, ARRAYS[k]) if k in ARRAYS else v for k, v in fields.items()}
+def given(fields: dict[str, Any], nested: dict[str, str] | None = None) -> dict[str, Any]:
+    """Return a message's fields as the SDK takes them; ``nested`` names the types of messages in it."""
+    nested = nested or {}
+
+    def made(name: str, value: Any) -> Any:
+        if isinstance(value, dict):
+            return ZenohSession.get_instance().store.types[nested[name]](**given(value, nested))
+        if name in nested:
+            return [made(name, one) for one in value]
+        return np.array(value, ARRAYS[name]) if name in ARRAYS else value
+
+    return {name: made(name, value) for name, value in fields.items()}
 
 
 def obey(order: dict[str, Any]) -> None:
@@ -78,9 +89,11 @@ def obey(order: dict[str, Any]) -> None:
         say(ready=service)
     elif service := order.get("call"):
         if service not in _endpoints:
-            _endpoints[service] = ROS2ServiceClient(service, order["type"], *order["definitions"], **place)
+            kind = {"type_hash": order.get("hash"), **place}
+            _endpoints[service] = ROS2ServiceClient(service, order["type"], *order["definitions"], **kind)
         _endpoints[service].call_async(
-            lambda response: say(heard=service, message=plain(response)), **order["fields"]
+            lambda response: say(heard=service, message=plain(response)),
+            **given(order["fields"], order.get("nested")),
         )
     elif topic := order.get("publish"):
         # As a ROS node waits for subscribers: what is put before one is known goes nowhere.
