@@ -126,6 +126,19 @@ def test_the_benchmark_of_the_backends() -> None:
     assert {"bridge, no PLC", "bridge, a PLC scans"} <= set(found["4 quiet topics"])
 
 
+def test_the_benchmark_beside_a_node_in_c() -> None:
+    """The node in C and the bridge carry the same load, and neither loses or changes a message."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    if shutil.which("gcc") is None:
+        pytest.skip("Debian package gcc is missing")
+    from benchmarks import bench_dds
+
+    report = bench_dds.run(1, (2, 100, 1.0))
+    ((title, table),) = rows(report).items()
+    assert {"C node", "C node, user", "bridge", "bridge, system"} <= set(table), title
+    assert report["tables"][0]["facts"] == {"lost, C node": 0, "lost, bridge": 0}
+
+
 @pytest.mark.serial
 @pytest.mark.verify(minutes=2)
 def test_the_benchmark_of_all_backends() -> None:

@@ -1,0 +1,148 @@
+"""The bridge over DDS beside a node written in C by hand: CPU per message, and latency towards the PLC.
+
+usage: python -m benchmarks.bench_dds [--rounds N] [--json]
+
+The node (dds_node.c) uses the same library, the one of the cyclonedds wheel, with the same QoS and ways of
+waiting: it takes, copies field by field into the same shared memory, and writes; no other type, no limits,
+no checks, no status. Both carry the same load by turns, every message of which is checked where it arrives.
+What is compared is the time of the processor per message, which other programs disturb least. Needs gcc.
+"""
+
+from __future__ import annotations
+
+import random
+import secrets
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from benchmarks import measure
+from benchmarks.bench_bridge import LOAD, begin, load_config
+from benchmarks.peers import STRING, TYPE, names
+from benchmarks.processes import RosGraph, bridge, cpu_seconds, environment, peers, ros_domain
+from rosplc.described import description_of
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.ros.dds import native
+from rosplc.ros.dds.backend import domain_config
+from rosplc.ros.dds.idl import dds_topic
+from rosplc.shm import Direction, Namespace, OwnedChannel
+from rosplc_bench.compiling import CORE, FLAGS, SOURCES
+from rosplc_bench.process import Side
+
+HERE = Path(__file__).resolve().parent
+DEPTH = 5000
+CONTENDERS = ("C node", "bridge")
+RESAMPLES = 2000
+
+
+def compile_node(folder: Path) -> Path:
+    """Compile the node against the library that the wheel has loaded."""
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        raise RuntimeError("Debian package gcc is missing")
+    library, program = Path(native.library._name).resolve(), folder / "dds_node"
+    headers = [f"-I{each}" for each in (CORE, SOURCES)]
+    link = [str(library), f"-Wl,-rpath,{library.parent}", "-pthread"]
+    subprocess.run([compiler, *FLAGS, *headers, "-o", program, HERE / "dds_node.c", *link], check=True)
+    return program
+
+
+@contextmanager
+def node(program: Path, prefix: str, domain: int, ins: list[str], outs: list[str]) -> Iterator[int]:
+    """Run the node in place of a bridge, over objects that this process owns; give its process id."""
+    layout = compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING))
+    variables = environment(domain)
+    variables["CYCLONEDDS_URI"] = domain_config(variables, "jazzy")
+    words = []
+    with ExitStack() as stack:
+        for way, direction, topics in (("in", Direction.TO_PLC, ins), ("out", Direction.TO_ROS, outs)):
+            for topic in topics:
+                about = description_of(layout, topic, direction, bridge=prefix)
+                channel = OwnedChannel.open(Namespace(prefix), about, record_size=layout.size, slots=4096)
+                stack.callback(channel.retire)
+                words += [way, dds_topic(topic), str(channel.path)]
+        with Side("dds_node", [str(program), str(domain), str(DEPTH), *words], variables) as side:
+            side.receive()
+            yield side.pid
+
+
+@contextmanager
+def carrying(name: str, program: Path, prefix: str, domain: int, topics: int) -> Iterator[int]:
+    """Run a contender for so many topics each way; give its process id."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        if name == "bridge":
+            text = load_config(prefix, topics, depth=4096)
+            yield stack.enter_context(bridge(Path(folder), text, domain)).pid
+        else:
+            ends = names("in", topics), names("out", topics)
+            yield stack.enter_context(node(program, prefix, domain, *ends))
+
+
+def loaded(name: str, program: Path, topics: int, rate: int, seconds: float) -> dict[str, float]:
+    """Carry a load once; return the processor's time per message in µs, and what was lost."""
+    prefix, count = f"bench-{secrets.token_hex(4)}", round(rate * seconds)
+    with ros_domain() as domain, carrying(name, program, prefix, domain, topics) as pid:
+        plan = {"topics": topics, "count": count, "rate": rate, "per_scan": 1, "qos_depth": DEPTH}
+        plan |= {"prefix": prefix, **RosGraph(domain).plan()}
+        with peers("plc ros", plan, domain) as (plc, ros):
+            before = cpu_seconds(pid)
+            begin(plc, ros)
+            sent = [each.receive_json()["sent"] for each in (plc, ros)]
+            time.sleep(1.0)
+            user, system = (now - then for now, then in zip(cpu_seconds(pid), before, strict=True))
+            results = [each.ask("stop") for each in (ros, plc)]
+    tallies = [tally for result in results for tally in result["seen"].values()]
+    arrived = sum(tally["received"] for tally in tallies)
+    lost = topics * sum(sent) - arrived + sum(tally["wrong"] for tally in tallies)
+    found = {"user": user, "system": system, "both": user + system}
+    return {key: 1e6 * value / arrived for key, value in found.items()} | {"lost": lost}
+
+
+def interval(values: list[float]) -> tuple[float, float]:
+    """Return the bootstrapped 95 % interval of the median."""
+    draw = random.Random(1)
+    medians = sorted(statistics.median(draw.choices(values, k=len(values))) for _ in range(RESAMPLES))
+    return medians[RESAMPLES // 40], medians[-RESAMPLES // 40]
+
+
+def run(rounds: int, load: tuple[int, int, float] = LOAD) -> dict[str, Any]:
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`. ``load``: topics, rate, seconds."""
+    before = measure.environment()
+    topics, rate, seconds = load
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in CONTENDERS}
+    with tempfile.TemporaryDirectory() as folder:
+        program = compile_node(Path(folder))
+        for number in range(rounds):
+            print(f"round {number + 1} of {rounds}", file=sys.stderr)
+            for name, kept in found.items():
+                kept.append(loaded(name, program, topics, rate, seconds))
+    ratios = [mine["both"] / its["both"] for its, mine in zip(*found.values(), strict=True)]
+    lowest, highest = interval(ratios)
+    more = {"ratio": statistics.median(ratios), "lowest": lowest, "highest": highest}
+    rows = [
+        measure.row(
+            name if part == "both" else f"{name}, {part}",
+            [one[part] for one in kept],
+            **(more if (name, part) == ("bridge", "both") else {}),
+        )
+        for name, kept in found.items()
+        for part in ("both", "user", "system")
+    ]
+    waiting = (
+        "both sleep in a waitset towards the PLC, and look every 1 ms towards ROS; the PLC scans every 1 ms"
+    )
+    facts = {f"lost, {name}": sum(one["lost"] for one in kept) for name, kept in found.items()}
+    title = f"{topics} topics x {rate} Hz each way, CPU"
+    return measure.report([measure.table(title, "µs per message", waiting, rows, facts)], before)
+
+
+if __name__ == "__main__":
+    measure.main(run, __doc__, 9)
