@@ -16,8 +16,13 @@ PAGE = REFERENCE / "cli.md"
 def parts() -> dict[str, str]:
     """Return the page's generated part."""
     group: Any = get_command(app)
-    verbs = group.commands.items()
+    verbs = [(name, opened(name, listed)) for name, listed in group.commands.items()]
     return {"verbs": "\n".join("\n".join(section(name, command)) for name, command in verbs)}
+
+
+def opened(name: str, listed: Any) -> Any:
+    """Return a verb's command with everything that belongs to it; its module is imported now."""
+    return listed.make_context(name, [], resilient_parsing=True).command
 
 
 def section(name: str, command: Any) -> Iterator[str]:

@@ -13,7 +13,7 @@ from typing import Any
 
 from typer.main import get_command
 
-from generate_cli_reference import default, written
+from generate_cli_reference import default, opened, written
 from rosplc.cli.app import app
 
 # Zsh reads its file when it first completes, so the file has to complete as well as define.
@@ -76,7 +76,7 @@ def main(folder: Path, version: str) -> None:
     share, group = folder / "usr/share", get_command(app)
     texts = {"man/man1/rosplc.1": page("rosplc", group, version)}
     for verb, command in getattr(group, "commands", {}).items():
-        texts[f"man/man1/rosplc-{verb}.1"] = page(f"rosplc {verb}", command, version)
+        texts[f"man/man1/rosplc-{verb}.1"] = page(f"rosplc {verb}", opened(verb, command), version)
     files = {
         f"{path}.gz": gzip.compress(("\n".join(text) + "\n").encode(), mtime=0)
         for path, text in texts.items()

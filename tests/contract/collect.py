@@ -65,8 +65,9 @@ def commands() -> Iterator[tuple[str, str]]:
     from rosplc.cli.app import app
 
     group: Any = get_command(app)
-    for verb, command in group.commands.items():
+    for verb, listed in group.commands.items():
         yield f"rosplc {verb}", "verb"
+        command = listed.make_context(verb, [], resilient_parsing=True).command
         for each in command.params:
             kind = "flag" if getattr(each, "is_flag", False) else "many" if each.multiple else "one"
             if each.param_type_name == "argument":

@@ -2,33 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from rosplc._version import FORMAT, __version__
-from rosplc.cli import (
-    bench,
-    check,
-    clean,
-    demo,
-    doctor,
-    explain,
-    generate,
-    init,
-    record,
-    release,
-    reload,
-    replay,
-    ros,
-    run,
-    service,
-    show,
-    status,
-    top,
-    types,
-    web,
-)
 
 _EXAMPLES = """Examples:
 
@@ -48,13 +28,41 @@ rosplc doctor  —  problems of machine and configuration, with fixes
 
 `rosplc VERB --help` explains a verb; `rosplc explain CODE` an error.
 """
-_VERBS: dict[str, dict[str, Any]] = {
-    "Set up": {"demo": demo, "init": init, "check": check, "generate": generate, "types": types},
-    "Run": {"run": run, "reload": reload, "service": service, "release": release, "clean": clean},
-    "Watch": {"status": status, "show": show, "top": top, "web": web, "record": record, "replay": replay},
-    "ROS": {"list": ros.LIST, "echo": ros.ECHO, "hz": ros.HZ, "pub": ros.PUB},
-    "Diagnose": {"doctor": doctor, "explain": explain, "bench": bench},
-}
+# What --help says of each is here once more: the list imports no verb, and a verb no other.
+_VERBS = """\
+Set up
+  demo: Show ROS topics reaching a virtual PLC and its commands coming back.
+  init: Look at a robot or a recording, and write a commented configuration.
+  check: Explain a configuration: what is carried, in which direction, how, and who may open it.
+  generate: Write the PLC half: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
+  types: List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
+
+Run
+  run: Run the bridge in the foreground; logs go to stderr.
+  reload: Tell a running bridge to apply its changed configuration, without stopping it.
+  service: Run a bridge as a service of systemd: install it, remove it, or see how it stands.
+  release: Free the claim of a writer that is dead, so that another program may write the channel.
+  clean: Remove the objects of a prefix that no bridge holds: channels, locks and temporaries.
+
+Watch
+  status: Print one table of every channel of every bridge on this machine, and what is wrong.
+  show: Show the message in a topic's shared memory, or list all channels of this machine.
+  top: Watch every channel of this machine in the terminal: rates, ages, losses, who lives, live values.
+  web: Show this machine's channels in a browser, live, until Ctrl-C.
+  record: Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
+  replay: Replay a recording into channels or onto ROS topics, in its order and at its pace.
+
+ROS
+  list: List the topics of the ROS graph, or its services or actions.
+  echo: Print the messages of a ROS topic.
+  hz: Print the rate at which a ROS topic's messages arrive, every second.
+  pub: Publish messages on a ROS topic.
+
+Diagnose
+  doctor: Examine this machine, a configuration and what runs; suggest fixes.
+  explain: Explain an error code: what it means, and what to do.
+  bench: The comparison with Modbus and OPC UA is now the command rosplc-bench.
+"""
 
 app = typer.Typer(
     help="Carry ROS topics to and from a soft-PLC (CODESYS) on this machine, through shared memory.",
@@ -65,15 +73,31 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for _group, _members in _VERBS.items():
-    for _name, _verb in _members.items():
-        app.command(
-            _name,
-            epilog="Examples:\n\n" + (_verb.__doc__ or "").partition("\n\n")[2],
-            cls=run.RosCommand if _verb is run else None,
-            rich_help_panel=_group,
-            context_settings={"ignore_unknown_options": True} if _verb is bench else None,
-        )(_verb.command)
+
+class _Listed(TyperCommand):
+    """A verb as --help lists it; its module is imported when it is used."""
+
+    def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
+        """Return the context of the verb itself."""
+        verb: Any = self.name
+        if verb in ("list", "echo", "hz", "pub"):
+            module: Any = getattr(importlib.import_module("rosplc.cli.ros"), verb.upper())
+        else:
+            module = importlib.import_module(f"rosplc.cli.{verb}")
+        alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+        alone.command(
+            verb,
+            epilog="Examples:\n\n" + (module.__doc__ or "").partition("\n\n")[2],
+            cls=module.RosCommand if verb == "run" else None,
+            context_settings={"ignore_unknown_options": True} if verb == "bench" else None,
+        )(module.command)
+        return typer.main.get_command(alone).make_context(info_name, args, *more, **extra)
+
+
+for _block in _VERBS.split("\n\n"):
+    _group, *_lines = _block.splitlines()
+    for _name, _summary in (line.strip().split(": ", 1) for line in _lines):
+        app.command(_name, help=_summary, rich_help_panel=_group, cls=_Listed)(lambda: None)
 
 
 def _print_version(wanted: bool) -> None:
