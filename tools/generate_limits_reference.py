@@ -74,7 +74,6 @@ ROS:
     different reasons in the log | ros._base.MOST_REMEMBERED | reasons | no more are logged
 ROS over DDS:
     name of a node in an announcement | ros.dds.peers.LONGEST_NAME | bytes | refused
-    nodes or endpoints that it may claim | ros.dds.peers.MOST_CLAIMED | each | refused
     participants whose announcements are kept | ros.dds.peers.MOST_PARTICIPANTS | participants | not kept
     domain | ros.dds.backend.MAX_DOMAIN |  | ROS010
 ROS over Zenoh:

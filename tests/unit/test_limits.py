@@ -234,7 +234,6 @@ def reasons(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
 @beyond(
     "ros.dds.peers.LONGEST_NAME",
-    "ros.dds.peers.MOST_CLAIMED",
     "ros.dds.peers.MOST_PARTICIPANTS",
     "ros.dds.backend.MAX_DOMAIN",
 )
@@ -243,21 +242,22 @@ def over_dds(patch: pytest.MonkeyPatch, folder: Path) -> None:
     from rosplc.ros.dds import backend as domains
     from rosplc.ros.dds import peers as graph
 
+    types = TypeStore.bundled("jazzy")
     node = graph.NodeEntities("/", "n" * (graph.LONGEST_NAME + 1))
-    with pytest.raises(ValueError, match="too long"):
-        graph.decode_announcement(graph.encode_announcement(bytes(16), [node], 16), 16)
-    claim = b"\0\1\0\0" + bytes(16) + (graph.MOST_CLAIMED + 1).to_bytes(4, "little")
-    with pytest.raises(ValueError, match="too long"):
-        graph.decode_announcement(claim, 16)
+    data = graph.encode_announcement(types, bytes(16), [node])
+    refused("ROS008", lambda: graph.decode_announcement(types, data), "too long")
     for domain in (str(domains.MAX_DOMAIN + 1), "9" * 5000):
         refused("ROS010", lambda domain=domain: domains.domain_id(None, {"ROS_DOMAIN_ID": domain}))
     samples = [
-        (graph.encode_announcement(number.to_bytes(16, "little"), [], 16), _Valid()) for number in range(1, 5)
+        (graph.encode_announcement(types, number.to_bytes(16, "little"), []), _Valid())
+        for number in range(1, 5)
     ]
     patch.setattr(graph, "MOST_PARTICIPANTS", 3)
     patch.setattr(graph, "ddspy_take", lambda *_: samples)
     announcer = graph.Announcer.__new__(graph.Announcer)
-    announcer.__dict__.update(reader=0, _size=16, _guid=b"", _lock=threading.RLock(), _others={}, _names={})
+    announcer.__dict__.update(
+        reader=0, _types=types, _guid=b"", _lock=threading.RLock(), _others={}, _names={}
+    )
     announcer.take()
     assert len(announcer._others) == 3
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
+from rosplc.errors import BackendError
+from rosplc.model import TypeStore
 from rosplc.ros import EndpointInfo
 from rosplc.ros._base import explain
 from rosplc.ros.backend import Qos
 from rosplc.ros.dds.idl import dds_topic, ros_topic
 from rosplc.ros.dds.peers import (
-    LONGEST_NAME,
     NodeEntities,
     decode_announcement,
     encode_announcement,
@@ -23,23 +24,21 @@ __all__ = ["check", "seeds"]
 
 
 def _announcement(choices: Choices) -> None:
-    size = 24 if choices.flag() else 16
+    types = TypeStore.bundled("humble" if choices.flag() else "jazzy")
     data = choices.rest()
     try:
-        participant, nodes = decode_announcement(data, size)
-    except ValueError as error:
-        assert len(str(error)) < 200
+        participant, nodes = decode_announcement(types, data)
+    except BackendError as error:
+        assert len(str(error)) < 400
         return
     assert len(participant) == 16
     assert sum(len(node.readers) + len(node.writers) for node in nodes) * 16 <= len(data)
     for node in nodes:
         assert node.full_name.startswith("/"), node
-        assert len(node.full_name) <= 2 + 2 * 4 * 256  # a byte takes four characters at most
+        assert len(node.full_name) <= 2 + 2 * 6 * 256  # a byte takes six characters at most
         assert node.full_name.isprintable()
-    names = [name.encode() for node in nodes for name in (node.namespace, node.name)]
-    if max(map(len, names), default=0) <= LONGEST_NAME:  # what was no UTF-8 has become longer
-        again = decode_announcement(encode_announcement(participant, nodes, size), size)
-        assert again == (participant, nodes)
+    again = decode_announcement(types, encode_announcement(types, participant, nodes))
+    assert again == (participant, nodes)
 
 
 def _peer(choices: Choices) -> None:
@@ -69,8 +68,8 @@ def check(data: bytes) -> None:
 def seeds() -> Iterator[bytes]:
     """Announcements of both sizes of an id, and a peer."""
     nodes = (NodeEntities("/", "talker", (bytes(16),), (b"\1" * 16,)), NodeEntities("/robot1", "listener"))
-    yield b"\0\0" + encode_announcement(b"\2" * 16, nodes, 16)
-    yield b"\0\1" + encode_announcement(b"\2" * 16, nodes, 24)
+    yield b"\0\0" + encode_announcement(TypeStore.bundled("jazzy"), b"\2" * 16, nodes)
+    yield b"\0\1" + encode_announcement(TypeStore.bundled("humble"), b"\2" * 16, nodes)
     hashed = b"typehash=RIHS01_" + b"1" * 64 + b";"
     yield b"\1" + b"\xff".join(
         (b"rt/chatter", b"std_msgs::msg::dds_::String_", b"/talker", hashed, b"\1\1why", b"\0")

@@ -13,9 +13,8 @@ from __future__ import annotations
 import ctypes as ct
 import logging
 import re
-import struct
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,8 +29,11 @@ from cyclonedds.core import InstanceState
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 
+from rosplc.errors import BackendError
 from rosplc.harmless import one_line
-from rosplc.model import TypeStore
+from rosplc.model import DISTROS, ArrayType, TypeStore
+from rosplc.ros import fields
+from rosplc.ros._base import is_cdr
 from rosplc.ros.backend import EndpointInfo, Qos
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import IdlTypes, ros_service, ros_topic
@@ -259,8 +261,6 @@ _logger = logging.getLogger("rosplc.ros.dds")
 ANNOUNCEMENT_TOPIC = "ros_discovery_info"
 ANNOUNCEMENT = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 
-_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
-MOST_CLAIMED = 1 << 20  # of nodes or gids that a peer may claim; far above any real graph
 LONGEST_NAME = 256  # the bound in rmw_dds_common/msg/NodeEntitiesInfo
 
 
@@ -279,95 +279,50 @@ class NodeEntities:
         return one_line(f"/{self.namespace.strip('/')}/{self.name}".replace("//", "/"))
 
 
-def gid_size(distro: str) -> int:
-    """Return the length of ``rmw_dds_common/msg/Gid`` in bytes: 24 up to Humble, 16 since Iron."""
-    return 24 if distro == "humble" else 16
+def encode_announcement(types: TypeStore, participant: bytes, nodes: Iterable[NodeEntities]) -> bytes:
+    """Return the CDR bytes of a participant's announcement; ``types`` are a distribution's."""
+    (data,) = types["rmw_dds_common/msg/Gid"].fields
+    assert isinstance(data.type, ArrayType)
+    size = data.type.length
+
+    def gid(guid: bytes) -> dict[str, bytes]:
+        return {"data": guid.ljust(size, b"\0")}
+
+    listed = [
+        {
+            "node_namespace": node.namespace,
+            "node_name": node.name,
+            "reader_gid_seq": [*map(gid, node.readers)],
+            "writer_gid_seq": [*map(gid, node.writers)],
+        }
+        for node in nodes
+    ]
+    values = {"gid": gid(participant), "node_entities_info_seq": listed}
+    encoded = fields.pack(types, ANNOUNCEMENT, values)
+    return encoded + bytes(-len(encoded) % 4)
 
 
-def encode_announcement(participant: bytes, nodes: Sequence[NodeEntities], size: int) -> bytes:
-    """Return the CDR bytes of a participant's announcement; ``size`` is :func:`gid_size`."""
-    out = bytearray(participant.ljust(size, b"\0"))
+def decode_announcement(types: TypeStore, data: bytes) -> tuple[bytes, tuple[NodeEntities, ...]]:
+    """Return the participant's 16-byte id and its nodes; ROS008 if the bytes are no such message."""
+    if not is_cdr(data):
+        raise BackendError("ROS008", "it is no plain CDR")
+    found = fields.unpack(types, ANNOUNCEMENT, data)
 
-    def count(number: int) -> None:
-        out.extend(bytes(-len(out) % 4) + struct.pack("<I", number))
+    def ids(*gids: dict[str, bytes]) -> tuple[bytes, ...]:
+        return tuple(gid["data"][:16] for gid in gids)
 
-    def text(value: str) -> None:
-        data = value.encode() + b"\0"
-        count(len(data))
-        out.extend(data)
-
-    count(len(nodes))
-    for node in nodes:
-        text(node.namespace)
-        text(node.name)
-        for gids in (node.readers, node.writers):
-            count(len(gids))
-            for gid in gids:
-                out.extend(gid.ljust(size, b"\0"))
-    return _HEADER + bytes(out) + bytes(-len(out) % 4)
-
-
-def decode_announcement(data: bytes, size: int) -> tuple[bytes, tuple[NodeEntities, ...]]:
-    """Return the participant's 16-byte id and its nodes; ValueError if the bytes are no such message."""
-    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-        raise ValueError("no plain CDR")
-    order = "<I" if data[1] else ">I"
-    body = memoryview(data)[4:]
-    at = 0
-
-    def take(length: int) -> bytes:
-        nonlocal at
-        if length > len(body) - at:
-            raise ValueError("truncated")
-        at += length
-        return bytes(body[at - length : at])
-
-    def count() -> int:
-        take(-at % 4)
-        (number,) = struct.unpack(order, take(4))
-        if number > MOST_CLAIMED:
-            raise ValueError("too long")
-        return int(number)
-
-    def text() -> str:
-        data = take(count()).rstrip(b"\0")
-        if len(data) > LONGEST_NAME:
-            raise ValueError("a name is too long")
-        return data.decode(errors="replace")
-
-    def gids() -> tuple[bytes, ...]:
-        return tuple(take(size)[:16] for _ in range(count()))
-
-    participant = take(size)[:16]
-    nodes = tuple(NodeEntities(text(), text(), gids(), gids()) for _ in range(count()))
-    return participant, nodes
+    nodes = []
+    for node in found["node_entities_info_seq"]:
+        names = node["node_namespace"], node["node_name"]
+        if any(len(name.encode(errors="surrogateescape")) > LONGEST_NAME for name in names):
+            raise BackendError("ROS008", "a name is too long")
+        nodes.append(NodeEntities(*names, ids(*node["reader_gid_seq"]), ids(*node["writer_gid_seq"])))
+    return ids(found["gid"])[0], tuple(nodes)
 
 
 _QOS = Qos(durability="transient_local", depth=1)
 MOST_PARTICIPANTS = 10_000  # anybody may announce in the name of participants that there are not
 _READ_QOS = Qos(durability="transient_local", depth=1000)  # one instance for all participants: no keys
-
-
-# Of ANNOUNCEMENT since Iron; a test computes it.
-_HASH = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
-
-
-def announcement_types(distro: str) -> tuple[TypeStore, str]:
-    """Return the announcement's definition, which a store of custom types need not have, and its hash."""
-    line = "=" * 80
-    text = f"""Gid gid
-NodeEntitiesInfo[] node_entities_info_seq
-{line}
-MSG: rmw_dds_common/Gid
-char[{gid_size(distro)}] data
-{line}
-MSG: rmw_dds_common/NodeEntitiesInfo
-string<=256 node_namespace
-string<=256 node_name
-Gid[] reader_gid_seq
-Gid[] writer_gid_seq
-"""
-    return TypeStore.from_definition(ANNOUNCEMENT, text), "" if distro == "humble" else _HASH
 
 
 class Announcer:
@@ -390,12 +345,13 @@ class Announcer:
     ) -> None:
         self._guid = guid  # 16 bytes
         self._node = (namespace, name)
-        self._size = gid_size(distro)
         self._lock = threading.RLock()
         self._others: dict[bytes, tuple[NodeEntities, ...]] = {}
         self._names: dict[bytes, str] = {}
-        types, type_hash = announcement_types(distro)
-        topic = topics(ANNOUNCEMENT_TOPIC, IdlTypes(types)[ANNOUNCEMENT])
+        # A store of custom types need not have the announcement's.
+        self._types = TypeStore.bundled(distro if distro in DISTROS else "jazzy")
+        type_hash = "" if distro == "humble" else self._types.type_hash(ANNOUNCEMENT)
+        topic = topics(ANNOUNCEMENT_TOPIC, IdlTypes(self._types)[ANNOUNCEMENT])
         self._writer = DataWriter(participant, topic, qos_of(_QOS, type_hash))
         self._reader = DataReader(participant, topic, qos_of(_READ_QOS, type_hash))
         self.reader: int = self._reader._ref
@@ -408,7 +364,7 @@ class Announcer:
             for wanted in (True, False)
         )
         nodes = () if leaving else (NodeEntities(*self._node, readers, writers),)
-        code = ddspy_write(self._writer._ref, encode_announcement(self._guid, nodes, self._size))
+        code = ddspy_write(self._writer._ref, encode_announcement(self._types, self._guid, nodes))
         if code < 0:
             _logger.warning("the node could not be announced: %s", native.refusal("write", code))
 
@@ -421,8 +377,8 @@ class Announcer:
             if not info.valid_data:
                 continue
             try:
-                guid, nodes = decode_announcement(data, self._size)
-            except ValueError as error:
+                guid, nodes = decode_announcement(self._types, data)
+            except BackendError as error:
                 _logger.warning("an announcement on %s cannot be read: %s", ANNOUNCEMENT_TOPIC, error)
                 continue
             if guid == self._guid:
