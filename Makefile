@@ -106,6 +106,7 @@ reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and dra
 	@$(VENV)/bin/python tools/generate_api_reference.py
 	@$(VENV)/bin/python tools/generate_plc_reference.py
 	@$(VENV)/bin/python tools/generate_doctor_reference.py
+	@$(VENV)/bin/python tools/generate_verified.py
 	@$(VENV)/bin/python tools/generate_comparison.py
 
 .PHONY: pictures

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from rosplc.ros import BACKENDS
 from tests.conformance.backends.base import Abilities
 from tests.conformance.backends.registry import HARNESSES
+
+pytestmark = pytest.mark.verifies("backends", own="one suite for all backends")
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "backends.md"
 

@@ -15,6 +15,8 @@ from rosplc.layout.c_header import c_header
 from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import DISTROS, TypeStore
 
+pytestmark = pytest.mark.verifies("c-layout", real="gcc for x86-64 and both ARMs")
+
 COMPILERS = [
     pytest.param("gcc", id="x86-64"),
     pytest.param("arm-linux-gnueabihf-gcc", id="armhf", marks=pytest.mark.needs("gcc-arm-linux-gnueabihf")),

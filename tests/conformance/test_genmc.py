@@ -16,6 +16,8 @@ import pytest
 
 import rosplc
 
+pytestmark = pytest.mark.verifies("torn", real="GenMC")
+
 MODELS = Path(__file__).with_name("genmc")
 WITHDRAWN, CLAIMED, BOTH = range(1, 4)
 FENCES, DELAYED, HANDED_OVER, HANDED_BACK = range(1, 5)

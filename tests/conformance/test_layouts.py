@@ -14,6 +14,8 @@ import pytest
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 
+pytestmark = pytest.mark.verifies("vectors", own="vectors from an independent implementation")
+
 VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
 FILES = sorted((VECTORS / "layouts").glob("*.json"))
 

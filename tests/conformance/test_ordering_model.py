@@ -16,6 +16,11 @@ from explore import explore  # noqa: E402
 from protocol import Config  # noqa: E402
 from scenarios import HOLDS, HOLDS_WITHOUT, LARGE, LIMITS, MUTATIONS, Scenario  # noqa: E402
 
+pytestmark = [
+    pytest.mark.verifies("torn", own="an exhaustive model with each rule removed in turn"),
+    pytest.mark.verifies("calls-once", own="an exhaustive model"),
+]
+
 
 def name(scenario: Scenario) -> str:
     return scenario.name

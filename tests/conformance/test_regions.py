@@ -18,6 +18,8 @@ from rosplc.shm import SERVICE, Attached, Direction, GoalNotes, Namespace, Part,
 from rosplc.shm.attach import belong_together
 from tests.region_reader import Refused, StaticReader, open_object
 
+pytestmark = pytest.mark.verifies("vectors", own="vectors from an independent implementation")
+
 VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
 TOPIC = "/v"
 

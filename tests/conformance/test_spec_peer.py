@@ -15,6 +15,8 @@ from rosplc.shm import Attached, Description, Direction, Namespace, OwnedChannel
 from rosplc.shm.constants import WRITER_LINE
 from tests.conformance.test_regions import HOSTILE, TOPIC, VALID, place
 
+pytestmark = pytest.mark.verifies("spec", own="a C peer by an author who had only the specification")
+
 MESSAGES = 30_000
 SIZE = 256
 DESCRIPTION = Description("/peer", "std_msgs/msg/Empty", "jazzy", Direction.TO_ROS, {}, "00" * 8, "peer", "")

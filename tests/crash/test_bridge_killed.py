@@ -12,6 +12,8 @@ from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, attach
 from tests.lib.channels import is_torn, open_channel, pattern, start_child, until
 
+pytestmark = pytest.mark.verifies("kills", own="SIGKILL at random with messages counted")
+
 _TOPIC = "/robot1/cmd_vel"
 
 # Owns the channel towards the PLC and publishes its sequence numbers.

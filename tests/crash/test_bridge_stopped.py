@@ -23,7 +23,7 @@ from rosplc.shm import Namespace, attach
 from tests.channels import STORE, layout_of
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = [pytest.mark.timeout(240), pytest.mark.verifies("kills", own="SIGSTOP")]
 
 INT = "std_msgs/msg/Int32"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

@@ -19,6 +19,8 @@ from rosplc.shm import Answerer, Caller, Namespace, Part, attach
 from rosplc.shm import constants as spec
 from tests.lib.channels import open_service, pattern, start_child, until
 
+pytestmark = pytest.mark.verifies("calls-once", own="kills at each step")
+
 _COMMON = """
 import os, signal, sys, time
 from functools import partial

@@ -23,6 +23,8 @@ from rosplc.shm.files import NameLock, Rights
 from tests.classic_cell import remove, unique_name
 from tests.lib.channels import describe, open_channel
 
+pytestmark = pytest.mark.verifies("users", own="processes of other users")
+
 _TOPIC = "/robot1/cmd_vel"
 _BRIDGE, _OTHER, _GROUP = 12345, 12346, 54321
 

@@ -20,6 +20,8 @@ from rosplc.errors import ChannelError
 from rosplc.shm import Namespace, attach
 from tests.lib.waiting import WATCHDOG_S
 
+pytestmark = pytest.mark.verifies("users", own="processes of other users")
+
 _F_ADD_SEALS, _F_SEAL_SHRINK = 1033, 0x0002
 
 

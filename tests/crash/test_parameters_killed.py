@@ -17,7 +17,7 @@ from tests.lib.waiting import repeat_until
 from tests.verification.joint import Joint, made_joint
 from tests.verification.plc_cell import store
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.timeout(300), pytest.mark.verifies("parameters", own="kills")]
 
 CONFIG = """bridge: params
 ros: {domain: DOMAIN, SIDE}

@@ -21,6 +21,8 @@ from tests.lib.isolated import mounted
 from tests.lib.waiting import WATCHDOG_S
 from tests.unit.recorder.making import Feed, read_from_the_front
 
+pytestmark = pytest.mark.verifies("recorder-killed", own="SIGKILL, full disks, cut files")
+
 _ROOT = Path(__file__).resolve().parents[2]
 
 _RECORDER = """

@@ -19,6 +19,8 @@ from rosplc.model import TypeStore
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
 from tests.lib.channels import open_channel
 
+pytestmark = pytest.mark.verifies("hostile", own="overwritten objects")
+
 _TOPIC = "/robot1/state"
 _EXPECTED = {f"SHM{number}" for number in (104, 105, 106, 107, 108, 109, 110, 111, 112, 113, 114, 115)}
 

@@ -12,6 +12,8 @@ from rosplc.shm import Direction, Namespace, attach
 from tests.lib.channels import is_torn, open_channel, start_child, until
 from tests.lib.waiting import WATCHDOG_S
 
+pytestmark = pytest.mark.verifies("kills", own="SIGKILL at random with messages counted")
+
 _TOPIC = "/robot1/cmd_vel"
 
 # Publishes numbers in order, each filling a record, from the sequence that the channel is at.

@@ -16,6 +16,8 @@ from deploy.wheel import DeployError, project_version, run
 from tests.soak.cell import Cell
 from tests.soak.processes import Part
 
+pytestmark = pytest.mark.verifies("arm-board", real="Debian armhf in an emulator")
+
 ARM = (1, 40)
 """Word size and processor that a program's file states (ELF, EI_CLASS and e_machine)."""
 BOARD_KIB = 512 * 1024

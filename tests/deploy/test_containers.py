@@ -22,6 +22,8 @@ from tests.lib.waiting import wait_for
 from tests.soak.cell import Cell
 from tests.soak.messages import IN
 
+pytestmark = pytest.mark.verifies("containers", real="Docker")
+
 ROOT = Path(__file__).resolve().parents[2]
 GROUP = 54_323
 """A number without a name, as in containers that share no /etc/group."""

@@ -21,6 +21,8 @@ from rosplc.cli.app import app
 from rosplc.shm import Namespace
 from tests.deploy.machine import Machine, need_namespaces
 
+pytestmark = pytest.mark.verifies("deb", real="dpkg, man, bash")
+
 NEWER = "99.0"
 WATCHDOG_S = 90.0
 MOST_PACKED, MOST_INSTALLED = 58e6 / 2, 227e6 / 2

@@ -19,6 +19,8 @@ from tests.deploy.machine import need_namespaces
 from tests.lib import isolated
 from tests.lib.waiting import wait_for
 
+pytestmark = pytest.mark.verifies("containers", real="Docker")
+
 CONTAINER = ROOT / "packaging/container"
 SITE_AUTHORITIES = Path("/usr/local/share/ca-certificates")
 MOST_BYTES = 200e6

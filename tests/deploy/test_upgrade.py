@@ -15,6 +15,8 @@ from tests.peers.release import OLD, old_release
 from tests.soak.cell import Cell
 from tests.soak.messages import OUT, TOPICS
 
+pytestmark = pytest.mark.verifies("upgrade", own="two wheels")
+
 WATCHDOG_S = 120.0
 
 

@@ -11,6 +11,8 @@ import rosplc
 from docstrings import describe, signature
 from rosplc.errors import RosplcError
 
+pytestmark = pytest.mark.verifies("generated", own="rosplc alone")
+
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = ROOT / "tools" / "generate_api_reference.py"
 PAGE = ROOT / "docs" / "reference" / "python-api.md"

@@ -23,6 +23,8 @@ from rosplc.ros import DEFAULT, open_backend
 from rosplc.shm import Namespace
 from tests.docs.pages import blocks
 
+pytestmark = pytest.mark.verifies("documentation", own="translated Structured Text")
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "tutorial" / "codesys.md"
 WATCHDOG_S = 100.0

@@ -22,7 +22,10 @@ from examples.assembly_cell.view import picture
 from examples.assembly_cell.world import World
 from rosplc.demo.st.process import find_translator
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [
+    pytest.mark.timeout(900),
+    pytest.mark.verifies("example-cell", own="a simulated machine, kills, both programs"),
+]
 ROOT = Path(__file__).resolve().parents[2]
 STEP_S = 0.01
 

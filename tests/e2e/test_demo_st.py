@@ -49,7 +49,11 @@ from tests.lib.waiting import wait_for
 
 # One worker translates first, the others' share would be the same texts again. With nothing in the
 # cache that takes a minute or two.
-pytestmark = [pytest.mark.xdist_group("structured-text"), pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.xdist_group("structured-text"),
+    pytest.mark.timeout(600),
+    pytest.mark.verifies("st-messages", own="translated Structured Text"),
+]
 
 POSE, TWIST = "geometry_msgs/msg/PoseStamped", COMMAND[1]
 STORE = TypeStore.bundled("jazzy")

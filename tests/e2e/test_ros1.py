@@ -22,7 +22,11 @@ from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import PART, part_defines, string
 from tests.lib.waiting import wait_for
 
-pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(60)]
+pytestmark = [
+    pytest.mark.needs(*PACKAGES),
+    pytest.mark.timeout(60),
+    pytest.mark.verifies("ros1", real="rosmaster"),
+]
 
 TWIST = struct.Struct("<6d")
 

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.verifies("campaign", own="[the fault campaign](fault-campaign.md)")
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

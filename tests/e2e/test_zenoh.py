@@ -19,7 +19,11 @@ from tests.e2e.cell import Bridge, Plc
 from tests.interop.zenoh.processes import Router, free_port
 from tests.interop.zenoh.sdk import SdkInbox, SdkOutbox, SdkPeer
 
-pytestmark = [pytest.mark.timeout(120), pytest.mark.foreign]
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.foreign,
+    pytest.mark.verifies("zenoh", real="eclipse-zenoh"),
+]
 
 DOMAIN = 17
 PARAMETER, STATE = "rcl_interfaces/msg/ParameterValue", "cell_msgs/msg/State"

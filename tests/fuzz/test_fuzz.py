@@ -16,6 +16,8 @@ from tests.fuzz.corpus import CORPUS, MOST_BYTES
 from tests.fuzz.replay import replay_native
 from tests.fuzz.targets import TARGETS
 
+pytestmark = pytest.mark.verifies("hostile", real="libFuzzer, atheris")
+
 ROOT = Path(__file__).resolve().parents[2]
 NATIVE = [name for name, entry in TARGETS.items() if not entry.module]
 PYTHON = [name for name, entry in TARGETS.items() if entry.module]

@@ -24,7 +24,10 @@ from tests.interop.rmw_cyclone import HEADER, RmwClient, RmwNode, RmwServer, mes
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import repeat_until, wait_for
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("cyclone-calls", own="a peer written from rmw_cyclonedds' sources"),
+]
 
 ADD = "diagnostic_msgs/srv/AddDiagnostics"
 

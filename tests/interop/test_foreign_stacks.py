@@ -17,7 +17,10 @@ from rosplc.ros import LATCHED, Qos, incompatibility
 from tests.interop.graphs import LOCAL, STRING, Graph, string, text_of
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = [
+    pytest.mark.timeout(240),
+    pytest.mark.verifies("ros2-topics", real="programs on Fast DDS and Cyclone DDS"),
+]
 
 StartPeer = Callable[..., Any]
 

@@ -13,6 +13,8 @@ from rosplc.layout import Limits, compute_layout
 from tests.codec_oracle import Oracle, random_value
 from tests.codec_types import hard_store
 
+pytestmark = pytest.mark.verifies("hostile", own="malformed messages")
+
 EXTREMES = (0, 1, 3, 7, 8, 0x7FFFFFFF, 0x80000000, 0xFFFFFFF0, 0xFFFFFFFF)
 WIRES = (("jazzy", Wire.CDR, True), ("jazzy", Wire.CDR, False), ("noetic", Wire.ROS1, True))
 

@@ -17,6 +17,8 @@ from rosplc.model import DISTROS, TypeStore
 from tests.codec_oracle import Oracle, random_value
 from tests.codec_types import HARD_TYPES, hard_store
 
+pytestmark = pytest.mark.verifies("conversion", real="rosbags")
+
 STORES = {
     "humble": Stores.ROS2_HUMBLE,
     "jazzy": Stores.ROS2_JAZZY,

@@ -15,6 +15,8 @@ from rosplc.model import DISTROS
 from tests.codec_oracle import Oracle, random_value
 from tests.codec_types import hard_store
 
+pytestmark = pytest.mark.verifies("conversion", own="a slow independent codec")
+
 CAPACITIES = ((7, 3), (20, 1))
 
 

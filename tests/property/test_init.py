@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +21,8 @@ from rosplc.model import DISTROS
 from rosplc.project import check
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
 from tests.codec_types import BOUNDED, HARD_TYPES
+
+pytestmark = pytest.mark.verifies("init", own="random graphs")
 
 FIELDS = "string string\nint8[] sequence\nstring[] true\nstring<=4[<=2] none\nfloat32[] n\n"
 CUSTOM = {**HARD_TYPES, "odd_msgs/msg/Names": FIELDS, "hard_msgs/msg/Bounded": BOUNDED}

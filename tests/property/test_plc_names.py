@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 import string
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rosplc.plc.names import Scope, is_reserved, legal, string_literal, type_prefix
+
+pytestmark = pytest.mark.verifies("names", own="rosplc alone")
 
 # A letter, or one underscore and more; single underscores; none at the end.
 IDENTIFIER = re.compile(r"(?:[A-Za-z]|_(?=[A-Za-z0-9]))(?:_?[A-Za-z0-9])*\Z", re.ASCII)

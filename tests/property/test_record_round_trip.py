@@ -19,6 +19,8 @@ from tests.codec_oracle import Oracle, random_value
 from tests.codec_types import hard_store
 from tests.unit.recorder.making import Feed, received, recording, until
 
+pytestmark = pytest.mark.verifies("recordings", real="mcap and rosbags")
+
 _SAMPLES = 3
 _STRING, _SEQUENCE = 9, 2
 

@@ -34,6 +34,8 @@ from rosplc.shm.header import Identity
 from tests.unit.plc.projects import project, read
 from tools.generate_limits_reference import groups
 
+pytestmark = pytest.mark.verifies("limits", own="each limit exceeded once")
+
 ROOT = Path(__file__).resolve().parents[2]
 TOPIC = "{type: std_msgs/msg/Int8, to: plc}"
 

@@ -19,6 +19,8 @@ from deploy.wheel import PIP, copy_source
 from rosplc.demo.plan import FreeDomain
 from rosplc.shm import Namespace
 
+pytestmark = pytest.mark.verifies("pip", real="pip")
+
 ROOT = Path(__file__).resolve().parents[2]
 OURS = {"rosplc", "rosplc_st", "rosplc_bench"}
 # For type checkers alone, installed with a ROS, or a requirement of rosbags whose errors it raises.

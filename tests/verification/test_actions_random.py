@@ -19,6 +19,8 @@ from tests.verification.test_services_random import (
     folder,
 )
 
+pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; kills")
+
 __all__ = ["folder"]
 
 CANCEL, WITHDRAWN = spec.ASK_CALL + spec.ASK_CANCEL, spec.ASK_WITHDRAWN

@@ -19,6 +19,8 @@ from tests.verification.call_cell import (
     made_cell,
 )
 
+pytestmark = pytest.mark.verifies("blocks-conform", own="the same scans")
+
 STEPS, SEEDS = 300, 2
 CALLING = ("xDone", "xBusy", "xError", "xAborted", "eError", "eReason", "xServer", "udiCalls", "udiLate")
 SERVING = ("xCallerGone", "udiCalls", "udiRefused", "udiError", "tAge")

@@ -17,6 +17,8 @@ from rosplc_st.build import build
 from tests.verification.classic_cell import JOINTS, TOPICS, ClassicCell, Peer, classic_target
 from tests.verification.plc_cell import WRITE, layout_of, pattern, store, targets
 
+pytestmark = pytest.mark.verifies("classic", own="translated Structured Text")
+
 
 @pytest.fixture
 def cell() -> Iterator[ClassicCell]:

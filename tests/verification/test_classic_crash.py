@@ -13,6 +13,8 @@ from rosplc_st.machine import LibraryMachine, ProcessMachine
 from tests.verification.classic_cell import TOPICS, ClassicCell
 from tests.verification.plc_cell import READ, WRITE, pattern
 
+pytestmark = pytest.mark.verifies("classic", own="kills")
+
 
 @pytest.fixture
 def cell() -> Iterator[ClassicCell]:

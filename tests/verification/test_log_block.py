@@ -11,6 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosplc.ros import Qos
 from tests.verification.joint import Joint, made_joint
 
+pytestmark = pytest.mark.verifies("ros-blocks", own="translated Structured Text")
+
 DOMAIN = 58
 TYPE = "rcl_interfaces/msg/Log"
 CONFIG = f"""bridge: cell

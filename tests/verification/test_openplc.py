@@ -28,6 +28,8 @@ from tests.lib.waiting import wait_for
 from tests.verification.call_ends import CALLED, CallEnds
 from tests.verification.crossing import random_record
 
+pytestmark = pytest.mark.verifies("blocks-conform", own="a stand-in for each compiler")
+
 By = Callable[[Project, Path, str], Path]
 HERE = Path(__file__).parent
 FLAGS = ["-std=c++17", "-O1", "-Wall", "-Werror", "-DSTRUCPP_THREADED"]

@@ -38,6 +38,7 @@ pytestmark = [
     pytest.mark.needs(variable="ROSPLC_STRUCPP"),
     pytest.mark.serial,
     pytest.mark.timeout(600),
+    pytest.mark.verifies("openplc", real="OpenPLC's runtime (where a built checkout is available)"),
 ]
 RUN = Path("/run/runtime")
 QOS = Qos(reliability="reliable", durability="volatile", depth=200)

@@ -22,6 +22,8 @@ from tests.verification.call_cell import calls
 from tests.verification.plc_cell import store
 from tests.verification.test_types import DISTROS, all_layouts
 
+pytestmark = pytest.mark.verifies("compilers", real="STruC++, matiec (where available)")
+
 Rule = tuple[str, str]
 
 PRAGMAS: list[Rule] = [

@@ -12,6 +12,8 @@ from rosplc.ros.parameters import EVENTS, KINDS
 from tests.verification.joint import Joint, made_joint
 from tests.verification.plc_cell import store
 
+pytestmark = pytest.mark.verifies("ros-blocks", own="translated Structured Text")
+
 DOMAIN = 57
 CONFIG = f"""bridge: params
 ros: {{backend: memory, domain: {DOMAIN}}}

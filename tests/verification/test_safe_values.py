@@ -17,6 +17,8 @@ from rosplc_st.build import build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from tests.verification.plc_cell import READ, TARGETS, layout_of, project_texts, store, targets
 
+pytestmark = pytest.mark.verifies("fail-safe", own="translated Structured Text")
+
 SMALL = Limits(string=20, sequence=4)
 VALUES: dict[str, tuple[str, dict[str, Any]]] = {
     "/v_joints": (

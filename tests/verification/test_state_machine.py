@@ -14,6 +14,8 @@ from tests.verification.c_plc import LANGUAGES, CMachine
 from tests.verification.plc_cell import READ, Cell, layout_of, pattern, target, targets
 from tests.verification.virtual_cell import CANNOT, VirtualMachine
 
+pytestmark = pytest.mark.verifies("st-messages", own="translated Structured Text")
+
 
 @pytest.fixture(params=targets())
 def codesys(request: pytest.FixtureRequest) -> Iterator[Cell]:

@@ -22,6 +22,8 @@ from rosplc_st.build import Build, Toolchain, build
 from rosplc_st.machine import ProcessMachine
 from tests.verification.plc_cell import Cell, project_texts, store
 
+pytestmark = pytest.mark.verifies("st-messages", own="translated Structured Text")
+
 _ROOT = Path(__file__).resolve().parents[2]
 _TYPE = "test_msgs/msg/Block"
 _COUNT = 2048  # 16 KiB: a copy takes long enough to be overtaken

@@ -11,6 +11,8 @@ from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
 from tests.verification.joint import Joint, encode, made_joint
 
+pytestmark = pytest.mark.verifies("ros-blocks", own="translated Structured Text")
+
 DOMAIN = 59
 CLOCK = "rosgraph_msgs/msg/Clock"
 CONFIG = f"""bridge: cell

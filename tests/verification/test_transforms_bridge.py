@@ -11,7 +11,7 @@ from rosplc.config.transforms import TF_MESSAGE, TransformError
 from rosplc.ros import Qos
 from tests.verification.joint import Joint, encode, made_joint
 
-pytestmark = pytest.mark.timeout(200)
+pytestmark = [pytest.mark.timeout(200), pytest.mark.verifies("ros-blocks", own="translated Structured Text")]
 
 CONFIG = """
 bridge: poses

@@ -9,6 +9,8 @@ import pytest
 from rosplc.web.access import SECURITY_HEADERS, is_loopback, wrong_host, wrong_origin
 from tests.web.peers import TOKEN
 
+pytestmark = pytest.mark.verifies("web", own="rosplc alone")
+
 
 @pytest.mark.parametrize(
     "host",

@@ -14,7 +14,12 @@ from rosplc.shm import Direction, Namespace
 from tests.browser import WATCHDOG_MS, chromium
 from tests.web.peers import Served, end, layout_of, open_typed, start_role
 
-pytestmark = [pytest.mark.needs("chromium"), pytest.mark.xdist_group("chromium"), pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.needs("chromium"),
+    pytest.mark.xdist_group("chromium"),
+    pytest.mark.timeout(600),
+    pytest.mark.verifies("web", real="Chromium, axe"),
+]
 
 TABLET, WIDE, PHONE = (
     {"width": 820, "height": 1180},

@@ -16,7 +16,11 @@ from rosplc.shm import Namespace
 from tests.interop.actions.cell import Cell, Peer, StartPeer, the_plc_carries_goals_out, the_plc_sends_goals
 from tests.interop.graphs import LOCAL, free_domain
 
-pytestmark = [pytest.mark.foreign, pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.foreign,
+    pytest.mark.timeout(600),
+    pytest.mark.verifies("cyclone-calls", own="a peer written from rmw_cyclonedds' sources"),
+]
 
 # As rmw_cyclonedds sets it for LOCALHOST. The interface: the wheel takes no announcement from another one.
 CYCLONE = (

@@ -20,7 +20,11 @@ from rosplc.shm import Namespace
 from tests.interop.actions.cell import Cell, Peer, StartPeer, the_plc_carries_goals_out, the_plc_sends_goals
 from tests.interop.zenoh.processes import Router, free_port
 
-pytestmark = [pytest.mark.foreign, pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.foreign,
+    pytest.mark.timeout(600),
+    pytest.mark.verifies("zenoh-actions", own="rcl_action's rules on zenoh-ros2-sdk"),
+]
 
 DOMAIN = 19
 

@@ -16,6 +16,8 @@ from rosplc.ros.memory import open_backend
 from tests.classic_cell import CACHE, Program, build_plc, remove
 from tests.lib.waiting import wait_for
 
+pytestmark = pytest.mark.verifies("classic", own="a program after CODESYS' sample")
+
 PREFIX = "_CODESYS_SharedMemoryTest"
 TYPE = "plc_msgs/msg/DataExchange"
 CONFIG = """

@@ -19,7 +19,10 @@ from tests.classic_cell import Program, build, remove
 from tests.interop.ros1.graph import PACKAGES, Graph, Peer
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.needs(*PACKAGES)
+pytestmark = [
+    pytest.mark.needs(*PACKAGES),
+    pytest.mark.verifies("classic", own="a node after the thesis' class"),
+]
 
 TWIST = "geometry_msgs/msg/Twist"
 LIBRARIES = (

@@ -21,7 +21,11 @@ from tests.lib.waiting import wait_for
 from tests.unit.recorder.making import received, recording, until
 from tests.unit.recorder.test_actions import NAME, Action
 
-pytestmark = [pytest.mark.needs(*PACKAGES, "python3-actionlib"), pytest.mark.timeout(120)]
+pytestmark = [
+    pytest.mark.needs(*PACKAGES, "python3-actionlib"),
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("ros1", real="actionlib"),
+]
 
 STORE = TypeStore.bundled("noetic")
 TEST = "actionlib/action/Test"

@@ -15,7 +15,7 @@ PACKAGES = (
     "python3-move-base-msgs", "python3-nav-msgs", "python3-pcl-msgs", "python3-roscpp-msg",
     "python3-sensor-msgs", "python3-std-srvs", "python3-tf2-msgs",
 )  # fmt: skip
-pytestmark = pytest.mark.needs(*PACKAGES)
+pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.verifies("ros1", real="Debian's message classes")]
 
 STORE = TypeStore.bundled("noetic")
 GENERATED = Path("/usr/lib/python3/dist-packages")

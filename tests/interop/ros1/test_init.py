@@ -15,7 +15,11 @@ from rosplc.ros import LATCHED, Qos
 from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import PART, part_defines, string
 
-pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
+pytestmark = [
+    pytest.mark.needs(*PACKAGES),
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("init", real="ROS 1 nodes"),
+]
 TWIST = "geometry_msgs/msg/Twist"
 
 

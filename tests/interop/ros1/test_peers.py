@@ -19,7 +19,11 @@ from rosplc.ros import LATCHED, Backend, Qos, open_backend
 from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.lib.waiting import wait_for
 
-pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
+pytestmark = [
+    pytest.mark.needs(*PACKAGES),
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("ros1", real="rospy, roscpp"),
+]
 
 STORE = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"

@@ -21,7 +21,11 @@ from rosplc.ros.rospy.master import Master
 from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.lib.waiting import repeat_until, wait_for
 
-pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
+pytestmark = [
+    pytest.mark.needs(*PACKAGES),
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("ros1", real="rospy, roscpp"),
+]
 
 STORE = TypeStore.bundled("noetic")
 SET_BOOL = "std_srvs/srv/SetBool"

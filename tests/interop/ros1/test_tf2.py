@@ -14,7 +14,10 @@ import pytest
 from rosplc.bridge.transforms import Buffer, Pose
 from rosplc.config.transforms import TransformError
 
-pytestmark = [pytest.mark.needs("python3-tf2", "python3-geometry-msgs")]
+pytestmark = [
+    pytest.mark.needs("python3-tf2", "python3-geometry-msgs"),
+    pytest.mark.verifies("tf", real="Debian's tf2"),
+]
 PEER = Path(__file__).parent / "peers" / "tf2_buffer.py"
 TREES, AT_ONCE = 10_000, 1_000
 S = 1_000_000_000

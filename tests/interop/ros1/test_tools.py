@@ -17,7 +17,11 @@ from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import Inbox, string, values
 from tests.lib.waiting import wait_for
 
-pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
+pytestmark = [
+    pytest.mark.needs(*PACKAGES),
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("ros1", real="`rostopic`, `rosnode`"),
+]
 
 STORE = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"

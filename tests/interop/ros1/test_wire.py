@@ -20,7 +20,11 @@ from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import PART, PART_FILE, PART_STORE, Inbox, part_defines, string
 from tests.lib.waiting import wait_for
 
-pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
+pytestmark = [
+    pytest.mark.needs(*PACKAGES),
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("ros1-definitions", real="roscpp", own="publishers that lie"),
+]
 
 STORE = TypeStore.bundled("noetic")
 

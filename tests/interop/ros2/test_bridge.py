@@ -14,7 +14,11 @@ from tests.interop.graphs import LOCAL, text_of
 from tests.interop.ros2.conftest import Peer
 from tests.lib.waiting import repeat_until
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.ros2,
+    pytest.mark.timeout(300),
+    pytest.mark.verifies("ros2-topics", real="rclpy on Fast DDS"),
+]
 
 TWIST = struct.Struct("<6d")
 

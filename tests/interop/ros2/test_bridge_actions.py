@@ -17,7 +17,7 @@ from tests.interop.actions.cell import Cell, StartPeer, the_plc_carries_goals_ou
 from tests.interop.graphs import LOCAL
 from tests.interop.ros2.test_actions import start
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(600), pytest.mark.verifies("rclpy-calls", real="rclpy")]
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from tests.interop.graphs import LOCAL
 from tests.interop.ros2.conftest import Peer
 from tests.lib.waiting import wait_for
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(120), pytest.mark.verifies("fastdds-calls", real="rclpy")]
 
 SET_BOOL = "std_srvs/srv/SetBool"
 YES = b"\0\1\0\0\1\0\0\0"

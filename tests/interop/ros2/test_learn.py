@@ -16,7 +16,7 @@ from rosplc.ros import open_backend, settled_graph
 from tests.interop.graphs import LOCAL
 from tests.interop.ros2.conftest import Peer
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300), pytest.mark.verifies("learn", real="rclpy")]
 
 SHARE = Path(sys.prefix, "share")
 

@@ -18,7 +18,7 @@ from rosplc.shm import Namespace
 from tests.interop.graphs import LOCAL
 from tests.lib.waiting import repeat_until, wait_for
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300), pytest.mark.verifies("lifecycle", real="rclpy")]
 
 PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"
 INT32 = "std_msgs/msg/Int32"

@@ -13,7 +13,7 @@ from tests.interop.graphs import LOCAL
 from tests.lib.waiting import repeat_until
 from tests.verification.joint import Joint, made_joint
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300), pytest.mark.verifies("parameters", real="rclpy")]
 
 CONFIG = """bridge: params
 ros: {backend: rclpy, distro: kilted, domain: DOMAIN}

@@ -14,7 +14,7 @@ from tests.interop.graphs import LOCAL
 from tests.interop.ros2.conftest import Peer
 from tests.lib.waiting import repeat_until
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300), pytest.mark.verifies("ros-time", real="rclpy")]
 
 
 @pytest.mark.parametrize("backend", ["dds", "rclpy"])

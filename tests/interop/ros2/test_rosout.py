@@ -15,7 +15,7 @@ from tests.interop.graphs import LOCAL
 from tests.interop.ros2.conftest import Peer
 from tests.lib.waiting import wait_for
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300), pytest.mark.verifies("rosout", real="rclpy")]
 
 TYPE = "rcl_interfaces/msg/Log"
 

@@ -17,7 +17,7 @@ from tests.interop.ros2.conftest import Peer
 from tests.lib.waiting import WATCHDOG_S, wait_for
 from tests.unit.ros.test_rclpy_services import NO, SET_BOOL, YES, Requests, response
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(120), pytest.mark.verifies("rclpy-calls", real="rclpy")]
 
 
 @pytest.fixture

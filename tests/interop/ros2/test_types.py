@@ -19,7 +19,7 @@ from tests.codec_oracle import Oracle, random_value
 from tests.interop.ros2.conftest import Peer
 from tests.lib.waiting import repeat_until, wait_for
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300), pytest.mark.verifies("ros2-types", real="rclpy")]
 
 STORE = TypeStore.bundled("kilted")
 SHARE = Path(sys.prefix, "share")

@@ -21,7 +21,7 @@ from tests.interop.ros2.conftest import Peer
 from tests.interop.ros2.test_types import INSTALLED, ORACLE, STORE
 from tests.lib.waiting import repeat_until, wait_for
 
-pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300), pytest.mark.verifies("ros2-verbs", real="rclpy")]
 
 
 def start(domain: int, folder: Path, *words: str) -> subprocess.Popen[str]:

@@ -21,7 +21,11 @@ from tests.interop.zenoh.processes import Router, free_port
 from tests.interop.zenoh.sdk import ADD, SdkInbox, SdkPeer
 from tests.lib.waiting import repeat_until
 
-pytestmark = [pytest.mark.foreign, pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.foreign,
+    pytest.mark.timeout(600),
+    pytest.mark.verifies("zenoh", real="zenoh-ros2-sdk"),
+]
 
 DOMAIN = 23
 

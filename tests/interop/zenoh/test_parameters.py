@@ -17,7 +17,11 @@ from tests.verification.joint import Joint, made_joint
 from tests.verification.plc_cell import store
 from tests.verification.test_parameters_bridge import CONFIG, INITIAL, KIND, wishes
 
-pytestmark = [pytest.mark.foreign, pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.foreign,
+    pytest.mark.timeout(300),
+    pytest.mark.verifies("parameters", real="zenoh-ros2-sdk"),
+]
 
 DOMAIN = 24
 # As rosidl's own generators have written them into the packages.

@@ -26,6 +26,8 @@ from tests.interop.graphs import STRING, string, text_of
 from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import wait_for
 
+pytestmark = pytest.mark.verifies("zenoh", real="eclipse-zenoh")
+
 DOMAIN = 17
 STORE = TypeStore.bundled("jazzy")
 HASH = STORE.type_hash(STRING)

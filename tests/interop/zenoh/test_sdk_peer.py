@@ -22,6 +22,8 @@ from tests.interop.zenoh.processes import Router, free_port
 from tests.interop.zenoh.sdk import ADD, TRANSIENT_LOCAL, SdkInbox, SdkPeer
 from tests.lib.waiting import repeat_until, wait_for
 
+pytestmark = pytest.mark.verifies("zenoh", real="zenoh-ros2-sdk")
+
 DOMAIN = 11
 CUSTOM = "cell_msgs/msg/State"
 DEFINITIONS = {

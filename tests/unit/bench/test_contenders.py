@@ -30,6 +30,8 @@ from rosplc_bench.pairs import (
 )
 from rosplc_bench.run import Context, Effort, Missing
 
+pytestmark = pytest.mark.verifies("comparison", real="each installed contender")
+
 CORES = tuple(sorted(os.sched_getaffinity(0))[:2])
 DEBIAN = {
     "gcc is missing": "gcc",

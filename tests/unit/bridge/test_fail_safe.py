@@ -24,6 +24,8 @@ from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import INT, Cell, PlcTopic, numbers, unwire, wire
 
+pytestmark = pytest.mark.verifies("fail-safe", own="rosplc alone")
+
 BOOL = "std_msgs/msg/Bool"
 SUBSTITUTED = (
     f"  /out: {{type: {INT}, to: ros, stale_after: 150ms, on_stale: {{value: {{data: -7}}, period: 20ms}}}}\n"

@@ -23,6 +23,8 @@ from rosplc.errors import RosplcError, SetupError
 from rosplc.project import warnings
 from rosplc.shm import Namespace
 
+pytestmark = pytest.mark.verifies("real-time-settings", own="rosplc alone")
+
 FIFO = {"policy": "fifo", "priority": 3}
 
 

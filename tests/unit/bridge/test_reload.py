@@ -20,6 +20,8 @@ from rosplc.shm.files import NameLock, Rights
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
 
+pytestmark = pytest.mark.verifies("configuration", own="rosplc alone")
+
 
 def reload(cell: Cell, topics: str, **arguments: Any) -> str:
     """Reload the cell's bridge with other topics; return what has changed, in words."""

@@ -20,6 +20,8 @@ from tests.channels import Side, layout_of
 from tests.command import rosplc
 from tests.lib.channels import until
 
+pytestmark = pytest.mark.verifies("views", own="every state staged")
+
 
 @pytest.fixture
 def running(shm_namespace):

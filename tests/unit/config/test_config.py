@@ -18,6 +18,8 @@ from rosplc.config.file import Config, json_schema, parse_config, read_config
 from rosplc.config.yaml_source import LARGEST_FILE, ConfigErrors
 from rosplc.errors import ConfigError
 
+pytestmark = pytest.mark.verifies("configuration", own="rosplc alone")
+
 ROOT = Path(__file__).parents[3]
 GOOD = """\
 bridge: cell1

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.verifies("core", own="seeded faults, emulated ARM")
+
 _SOURCE = Path(__file__).with_name("channel_test.c")
 _INCLUDE = Path(__file__).resolve().parents[3] / "src/rosplc/include"
 _WARNINGS = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.verifies("core", own="sanitizers")
+
 ROOT = Path(__file__).resolve().parents[3]
 FLAGS = [
     "-std=gnu11",

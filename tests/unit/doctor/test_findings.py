@@ -14,6 +14,8 @@ from rosplc.shm import Namespace
 from tests.unit.doctor.cases import CASES
 from tests.unit.doctor.stage import Stage, problems
 
+pytestmark = pytest.mark.verifies("doctor", own="each problem staged")
+
 ROOT = Path(__file__).resolve().parents[3]
 NEEDS_ROOT = {"DOC218"}
 

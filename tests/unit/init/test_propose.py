@@ -9,6 +9,8 @@ from rosplc.init.propose import propose
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
 
+pytestmark = pytest.mark.verifies("init", own="random graphs")
+
 STORE = TypeStore.bundled("jazzy").with_definition(
     "t_msgs/msg/T", 'string name\nstring<=20 short\nint32[] n\nint32[<=5] few\nstring label "none"\n'
 )

@@ -12,6 +12,8 @@ import pytest
 
 from rosplc.monitor.tracked import is_starting, process_words
 
+pytestmark = pytest.mark.verifies("views", own="every state staged")
+
 
 def test_a_bridge_is_there_stopped_ended_or_gone():
     """A real process in each state, under its own name."""

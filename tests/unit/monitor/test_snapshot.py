@@ -13,6 +13,8 @@ from rosplc.model import TypeStore
 from rosplc.monitor import find_objects
 from rosplc.shm import Direction, Namespace, OwnedChannel
 
+pytestmark = pytest.mark.verifies("views", own="every state staged")
+
 
 @pytest.fixture
 def channel(shm_namespace):

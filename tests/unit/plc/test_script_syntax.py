@@ -91,6 +91,7 @@ def test_the_check_finds_what_is_newer(text):
 
 
 @pytest.mark.needs(variable="PYTHON27")
+@pytest.mark.verifies("import-script-syntax", real="Python 2.7 (where available)")
 def test_python_2_7_compiles_it(script, tmp_path: Path):
     """The Python 2.7 that PYTHON27 names has the last word."""
     path = tmp_path / "rosplc_import.py"

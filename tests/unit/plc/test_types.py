@@ -15,6 +15,8 @@ from rosplc.plc.names import is_reserved
 from rosplc.plc.types import DutBuilder
 from tests.unit.plc.projects import JOINTS, STORE, custom, layout, members, named, project, read
 
+pytestmark = pytest.mark.verifies("names", own="rosplc alone")
+
 SIZES = {
     "BOOL": 1, "BYTE": 1, "USINT": 1, "SINT": 1, "UINT": 2, "INT": 2, "UDINT": 4, "DINT": 4, "REAL": 4,
     "ULINT": 8, "LINT": 8, "LREAL": 8,

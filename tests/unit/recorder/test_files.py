@@ -28,6 +28,8 @@ from rosplc.recorder.store import FileStore, Split, qos_of_text, qos_text
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
 from tests.unit.recorder.making import read_from_the_front
 
+pytestmark = pytest.mark.verifies("recordings", real="mcap and rosbags")
+
 STRING = ChannelInfo(1, "/a", "std_msgs/msg/String", "ros2msg", b"string data\n", "cdr", {"k": "v"})
 NUMBER = ChannelInfo(2, "/b", "std_msgs/msg/UInt8", "ros2msg", b"uint8 data\n", "cdr", {})
 CHANNELS = {1: STRING, 2: NUMBER}

@@ -19,6 +19,8 @@ from rosplc import __version__
 from rosplc.config import load_project
 from tests.doubles.ros2 import double
 
+pytestmark = pytest.mark.verifies("colcon", real="colcon, without ROS")
+
 PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"
 
 

@@ -13,6 +13,8 @@ import pytest
 from tests.doubles.rclpy_signatures import ALSO, BASES, DIFFERENT, EVERY, HANDLES
 from tests.doubles.ros2 import double
 
+pytestmark = pytest.mark.verifies("humble-jazzy", own="a strict double, compared with rclpy's sources")
+
 REAL = importlib.util.find_spec("rclpy") is not None
 
 

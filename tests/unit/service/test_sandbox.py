@@ -23,7 +23,7 @@ from tests.unit.service.test_install import AS_NOBODY
 SANDBOX = Path(__file__).with_name("sandbox.py")
 INT32_7 = bytes([0, 1, 0, 0, 7, 0, 0, 0])
 
-pytestmark = pytest.mark.needs("systemd")
+pytestmark = [pytest.mark.needs("systemd"), pytest.mark.verifies("service", real="systemd's analysis")]
 
 
 @pytest.fixture

@@ -13,6 +13,8 @@ from rosplc.shm import Direction, Namespace, WriterClaim, attach
 from rosplc.shm.constants import IDENTITY, UNKNOWN, WRITER_LINE, reader_line
 from tests.lib.channels import LAYOUT, describe, open_channel, pattern
 
+pytestmark = pytest.mark.verifies("objects", own="rosplc alone")
+
 _TOPIC = "/robot1/cmd_vel"
 
 

@@ -7,6 +7,8 @@ import pytest
 from rosplc.shm import Liveness
 from rosplc.shm.attach import silence_ns
 
+pytestmark = pytest.mark.verifies("objects", own="rosplc alone")
+
 _MS = 1_000_000
 
 

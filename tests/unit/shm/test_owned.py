@@ -14,6 +14,8 @@ from rosplc.shm import Direction, Identity, Namespace, OwnedChannel, attach
 from rosplc.shm.constants import HEADER_SIZE, IDENTITY, STATE_RETIRED, WRITER_LINE
 from tests.lib.channels import describe, open_channel, pattern
 
+pytestmark = pytest.mark.verifies("users", own="processes of other users")
+
 _TOPIC = "/robot1/cmd_vel"
 
 

@@ -12,6 +12,8 @@ from tests.soak.faults import Fault
 from tests.soak.messages import TOPICS
 from tests.soak.processes import Usage
 
+pytestmark = pytest.mark.verifies("campaign", own="sabotages of its checks")
+
 
 class Part:
     """A process of the cell."""

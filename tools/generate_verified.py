@@ -1,0 +1,168 @@
+"""Write what-is-verified.md's tables from the markers on tests; ``--verify`` only compares.
+
+A test, or with ``pytestmark`` its module, is evidence for a statement of the table below::
+
+    @pytest.mark.verifies("ros2-topics", real="rclpy on Fast DDS")
+    @pytest.mark.verifies("parameters", own="translated Structured Text")
+
+``real`` names other projects' software that takes part, ``own`` what this project wrote for the check.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from pathlib import Path
+
+from generated_page import ROOT, filled, run
+
+PAGE = ROOT / "docs" / "explanation" / "what-is-verified.md"
+LEVELS = {"real": "● real", "own": "◐ own"}
+"""A marker's argument → how the page shows it, the stronger first."""
+
+TABLE = """\
+ROS:
+    ros2-topics | ROS 2 nodes exchange topics with a bridge over DDS
+    ros2-types | every bundled type with a wheel crosses between rclpy and the backends
+    ros2-verbs | `rosplc pub`, `echo` and `hz` send and print what ROS 2 does
+    rclpy-calls | services and actions cross both ways over `rclpy`, also after kills
+    cyclone-calls | services and actions cross over `dds` with nodes on Cyclone DDS
+    fastdds-calls | clients and servers on Fast DDS over `dds` are refused
+    learn | types are learnt from running ROS 2 nodes
+    rosout | the bridge's and the PLC's log lines reach `/rosout`
+    parameters | parameters set from ROS reach the PLC's memory, or are refused
+    ros-time | ROS time and simulated time reach the PLC's memory
+    tf | poses equal those of tf2
+    lifecycle | the lifecycle node follows its transitions
+    humble-jazzy | the `rclpy` backend fits Humble and Jazzy
+    colcon | `colcon build` builds the ROS 2 package
+    zenoh | topics and services cross over Zenoh, through routers that die and return
+    zenoh-actions | actions cross over Zenoh
+    ros1 | topics, services and actionlib cross with ROS 1, through masters that die and return
+    ros1-definitions | definitions from the wire are used only if they are sound
+    backends | all backends deliver, order, reconnect and report alike
+    init | `rosplc init` writes a valid configuration from any graph or recording
+    distribution | an installed ROS 2 distribution, the `ros2` command, the launch file \
+| rclpy on Fast DDS (Kilted, from wheels); doubles for Humble and Jazzy
+    rmw | nodes on rmw_cyclonedds or rmw_zenoh | independent implementations of their conventions
+Shared memory and conversion:
+    spec | the specification suffices to implement the format
+    vectors | layouts and objects are what the specification says
+    c-layout | layouts equal those of a C compiler
+    conversion | conversion loses nothing, for every bundled type
+    torn | a reader never accepts a torn message
+    core | the C core follows the rules, at full speed and on emulated ARM
+    calls-once | a call is executed at most once, and reported truthfully
+    kills | any process may be killed at any time
+    campaign | nothing is torn, invented, lost uncounted or leaked under faults
+    objects | objects are owned, adopted, replaced and retired by the rules
+    hostile | hostile bytes, files, objects and names end in an error
+    limits | everything from outside has a bound
+    users | other users can neither read nor block a running bridge
+The PLC:
+    st-messages | generated Structured Text exchanges messages with a bridge, without loss
+    compilers | other compilers read the generated text; matiec compiles the blocks for OpenPLC v3 and Beremiz
+    call-blocks | blocks of services and actions follow their tables
+    blocks-conform | the blocks in C and for OpenPLC behave as those of CODESYS
+    openplc | topics and services cross between a bridge and OpenPLC Runtime 4.1.4, also after kills
+    ros-blocks | blocks for logging, time, parameters and transforms exchange their data with a bridge
+    fail-safe | stale topics get their safe value or substitute
+    classic | classic topics work with existing projects
+    names | names and literals are valid, DUTs have the record's layout
+    import-script | the import script creates, updates and removes only its own objects
+    import-script-syntax | the import script is Python 2.7, as CODESYS' IronPython needs
+    plcopen | PLCopenXML has the shape that CODESYS writes
+    example-cell | in the example cell nothing is done twice or lost
+    codesys | CODESYS: compiler, development system, runtime \
+| its text is translated to C and executed; [what only CODESYS can tell](#what-only-codesys-can-tell)
+    beremiz | the runtimes of OpenPLC v3 and Beremiz | their compiler accepts the blocks
+Tools and operation:
+    configuration | a configuration error has its line; a reload applies completely or not at all
+    views | views show the true state and change nothing
+    web | the web page works, and only for those who may
+    recordings | recordings hold or count every message, and other tools read them
+    recorder-killed | a killed recorder leaves a readable file
+    doctor | the doctor finds each problem, and only where it is
+    comparison | the comparison's contenders are checked for correct values
+    service | the service has the rights that it needs, and no more
+    real-time-settings | real-time settings reach their threads
+    deb | the Debian package installs, upgrades and is removed
+    upgrade | a new release replaces an old one under load
+    containers | containers share memory; the image and compose file work
+    arm-board | the bridge runs on 32-bit ARM within 512 MB
+    pip | `pip install` gives a working command
+    documentation | commands, configurations and programs in the documentation work
+    generated | generated pages and drawings are current
+    machines | a robot, or a second machine | all peers run on one machine
+    arm | ARM hardware | cross-compiled, run in an emulator, and an exhaustive model of the ordering rules
+    managers | systemd as a service manager, podman, rootless engines \
+| systemd's offline analysis; Docker of Debian 12
+    times | real-time behaviour, times | tests assert that something happens, never how fast
+    viewers | Foxglove, PlotJuggler, `ros2 bag`, screen readers, browsers besides Chromium \
+| the libraries mcap and rosbags; axe's rules
+"""
+"""Title, then lines: key | statement. One that no test is marked for is not verified: | how far tests go."""
+
+Evidence = Mapping[str, list[tuple[str, str, str]]]
+"""A statement's key → the markers for it: argument, its text, and the test's file."""
+
+
+def markers(folder: Path) -> Evidence:
+    """Return what the tests below a folder are marked for, in the order of their files.
+
+    Raises:
+        ValueError: If a marker has no text.
+    """
+    found: dict[str, list[tuple[str, str, str]]] = {}
+    for path in sorted(folder.rglob("test_*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "pytest.mark.verifies"):
+                continue
+            key = ast.literal_eval(node.args[0])
+            texts = {str(each.arg): ast.literal_eval(each.value) for each in node.keywords}
+            if not texts or not texts.keys() <= LEVELS.keys() or not all(texts.values()):
+                raise ValueError(f"{path}:{node.lineno}: real= or own= names the evidence")
+            place = path.relative_to(folder).as_posix()
+            found.setdefault(key, []).extend((level, text, place) for level, text in texts.items())
+    return found
+
+
+def parts(table: str, found: Evidence) -> dict[str, str]:
+    """Return the page's generated parts: what is not verified, and the statements that are.
+
+    Raises:
+        ValueError: If a marker's statement is not in the table, or one without a marker has no note, or the
+            other way round.
+    """
+    missing = ["| what | as far as tests go |", "| --- | --- |"]
+    verified = []
+    keys = set()
+    for line in table.splitlines():
+        if not line.startswith(" "):
+            verified += ["", f"## {line.rstrip(':')}", ""]
+            verified += ["| | statement | evidence | tests |", "| --- | --- | --- | --- |"]
+            continue
+        key, statement, *note = (part.strip() for part in line.split("|"))
+        keys.add(key)
+        if bool(note) == (key in found):
+            raise ValueError(f"{key}: a statement has either a test that verifies it or a note")
+        if note:
+            missing.append(f"| {statement} | {note[0]} |")
+        else:
+            verified.append(_row(statement, found[key]))
+    if unknown := found.keys() - keys:
+        raise ValueError(f"no such statements: {', '.join(sorted(unknown))}")
+    return {"not verified": "\n".join(missing), "verified": "\n".join(verified)}
+
+
+def _row(statement: str, marked: list[tuple[str, str, str]]) -> str:
+    """Return a statement's line: the strongest level, what was used for each, and the tests' files."""
+    texts = {level: dict.fromkeys(text for each, text, _ in marked if each == level) for level in LEVELS}
+    used = [level for level in LEVELS if texts[level]]
+    evidence = "; own: ".join(", ".join(texts[level]) for level in used)
+    places = ", ".join(dict.fromkeys(f"`{place}`" for *_, place in marked))
+    return f"| {LEVELS[used[0]]} | {statement} | {evidence} | {places} |"
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(__doc__, {PAGE: filled(PAGE, parts(TABLE, markers(ROOT / "tests")))}))
