@@ -19,7 +19,7 @@ from typing import TypeVar
 from rosplc._core import Reader, Region, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm import constants as spec
-from rosplc.shm.constants import MAX_BEAT_MS, READER_LINE, READER_LINES, WRITER_LINE, Direction, reader_line
+from rosplc.shm.constants import READER_LINE, READER_LINES, WRITER_LINE, Direction, reader_line
 from rosplc.shm.files import open_plain_file, read_header, refuse_second_name, same_file
 from rosplc.shm.header import Identity, SlotState, Snapshot, channel_error
 from rosplc.shm.names import Description, Namespace, Part
@@ -27,23 +27,25 @@ from rosplc.shm.names import Description, Namespace, Part
 _T = TypeVar("_T")
 
 
-def silence_ns(beat_ms: int, factor: int = 3) -> int:
+def silence_ns(beat_ms: int) -> int:
     """Return how long, in ns, a beat may stay unchanged before its claim counts as abandoned (M6, M9)."""
-    if beat_ms == 0:
-        return 1_000_000_000
-    return max(100, factor * min(beat_ms, MAX_BEAT_MS)) * 1_000_000
+    return max(_life_ns(beat_ms), spec.MIN_SILENT_MS * 1_000_000)
+
+
+def _life_ns(beat_ms: int) -> int:
+    return (spec.SILENT_BEATS * min(beat_ms, spec.MAX_BEAT_MS) if beat_ms else spec.SILENT_MS) * 1_000_000
 
 
 class Liveness:
     """Judge one peer from its beat and head, both 32-bit words.
 
-    A peer is alive from the first change that is seen until nothing has changed for ``factor`` periods. What
-    has not changed since the first look has shown no life. ``period_ms`` 0 counts as a third of a second,
-    more than 10 s as 10 s (a damaged word must not keep a dead peer alive for months).
+    A peer is alive from the first change that is seen until nothing has changed for three periods. What has
+    not changed since the first look has shown no life. ``period_ms`` 0 counts as a third of a second, more
+    than 10 s as 10 s (a damaged word must not keep a dead peer alive for months).
     """
 
-    def __init__(self, period_ms: int, factor: int = 3) -> None:
-        self._limit_ns = factor * min(period_ms, MAX_BEAT_MS) * 1_000_000 if period_ms else 1_000_000_000
+    def __init__(self, period_ms: int) -> None:
+        self._limit_ns = _life_ns(period_ms)
         self._seen: tuple[int, int] | None = None
         self._changed_ns: int | None = None
 
@@ -66,8 +68,8 @@ class Peer:
         self._liveness = Liveness(0)
         self._since_ns = 0
 
-    def observe(self, beat: int, sequence: int, beat_ms: int, now_ns: int) -> None:
-        """Take in the words as they are at ``now_ns``, a monotonic time."""
+    def observe(self, beat: int, sequence: int, beat_ms: int, now_ns: int) -> bool:
+        """Take in the words as they are at ``now_ns``, a monotonic time; return whether the peer is alive."""
         if beat_ms != self._beat_ms:
             # Another writer, or the first one after its claim: its own promise counts.
             self._beat_ms, self._liveness = beat_ms, Liveness(beat_ms)
@@ -75,6 +77,7 @@ class Peer:
         if self.alive or self._since_ns == 0:
             self._since_ns = now_ns
         self.silent = now_ns - self._since_ns > silence_ns(beat_ms)
+        return self.alive
 
 
 class WriterProcess:
