@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from rosplc.bridge.called import Called, CalledGoals
-from rosplc.bridge.channel import ChannelsToPlc, ChannelsToRos
+from rosplc.bridge.channel import LAZY_TICK_NS, ChannelsToPlc, ChannelsToRos, Grouped
 from rosplc.bridge.classic import ClassicPorts
 from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.served import Served, ServedGoals
@@ -21,10 +21,7 @@ from rosplc.clock import Clock
 from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Plan
 from rosplc.errors import ChannelError, RosplcError
-from rosplc.shm import Direction, Group
-
-_LAZY_TICK_NS = 10_000_000  # the tick while no PLC is there: the wake-ups are what an idle bridge costs
-
+from rosplc.shm import Direction
 
 _USES: dict[tuple[str, str], Callable[..., Use]] = {
     ("service", "plc"): Served,
@@ -34,8 +31,8 @@ _USES: dict[tuple[str, str], Callable[..., Use]] = {
 }
 
 
-class CallPorts(Ports[Any]):
-    """The uses of all services and actions of a bridge, with one native call per tick for their objects.
+class CallPorts(Grouped[Any]):
+    """The uses of all services and actions of a bridge.
 
     The thread of their carrier owns all that is known of calls: the ROS side's threads give it events, and
     the PLC's blocks write into shared memory (spec/shm-format.md, section 11). At most one call is open per
@@ -43,11 +40,7 @@ class CallPorts(Ports[Any]):
     """
 
     def __init__(self, context: Context, tick_ns: int) -> None:
-        self._context = context
-        self._now = context.clock.monotonic_ns
-        self._tick_ns = tick_ns
-        self._group = Group()
-        self._uses: dict[int, Use] = {}
+        super().__init__(context, tick_ns)
         self._heads: dict[int, int] = {}  # of what has been reported, and not taken
         self._told: deque[Use] = deque()
 
@@ -58,14 +51,9 @@ class CallPorts(Ports[Any]):
 
     def add(self, port: Use) -> None:
         """Serve a use whose objects are open."""
-        self._uses |= dict.fromkeys(port.watch(self._group), port)
-
-    def remove(self, port: Use) -> None:
-        """Serve it no more."""
-        for index in [index for index, known in self._uses.items() if known is port]:
-            self._group.remove(index)
-            del self._uses[index]
-            self._heads.pop(index, None)
+        watched = port.watch(self._group)
+        self._ports |= dict.fromkeys(watched, port)
+        self._heads = {index: head for index, head in self._heads.items() if index not in watched}
 
     def _tell(self, use: Use) -> None:
         self._told.append(use)
@@ -73,29 +61,24 @@ class CallPorts(Ports[Any]):
 
     def poll(self, due_ns: int | None) -> None:
         """Sleep until there is news."""
-        wait = IDLE_NS if due_ns is None else max(0, min(IDLE_NS, due_ns - self._now()))
-        lively = any(use.lively for use in self._uses.values())
-        self._group.wait(self._tick_ns if lively else max(self._tick_ns, _LAZY_TICK_NS), wait)
-
-    def wake(self) -> None:
-        """End the sleep."""
-        self._group.wake()
+        lively = any(use.lively for use in self._ports.values())
+        self._wait(self._tick_ns if lively else max(self._tick_ns, LAZY_TICK_NS), IDLE_NS, due_ns)
 
     def take(self, now_ns: int) -> tuple[int | None, list[Use]]:
         """Go on with the calls of all uses that have news or whose time has come."""
         messages, faults = self._group.take()
         # A request that waits for a server is news once; the use looks at it again by itself.
-        news = {self._uses[index] for index, _, head, *_ in messages if self._heads.get(index) != head}
+        news = {self._ports[index] for index, _, head, *_ in messages if self._heads.get(index) != head}
         self._heads = {index: head for index, _, head, *_ in messages}
         for _ in range(len(self._told)):
             news.add(self._told.popleft())
         again: list[Use] = []
         for index, fault in faults:
-            use = self._uses[index]
+            use = self._ports[index]
             use.fail(now_ns, fault)
             if use not in again:
                 again.append(use)
-        served = dict.fromkeys(self._uses.values())
+        served = dict.fromkeys(self._ports.values())
         for use in (*served, *(use for use in news if use.problem and use not in served)):
             if use in again or (use not in news and now_ns < use.due_ns):
                 continue
@@ -108,7 +91,7 @@ class CallPorts(Ports[Any]):
                 log.debug("%s: its calls could not be looked after", use.plan.name, exc_info=True)
                 use.note(now_ns, f"calls cannot be looked after: {type(error).__name__}: {error}")
                 use.due_ns = now_ns + IDLE_NS
-        return min((use.due_ns for use in self._uses.values()), default=None), again
+        return min((use.due_ns for use in self._ports.values()), default=None), again
 
 
 _HANGS = "the ROS side does not return from publishing; the bridge leaves it behind"

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
+from collections import defaultdict
 from contextlib import suppress
 from dataclasses import replace
 from typing import Generic, TypeVar
 
-from rosplc.bridge.port import Context, Port, Ports, Side, Waiting, log
+from rosplc.bridge.port import Context, Port, Ports, Waiting, log
 from rosplc.bridge.status import PortStatus
+from rosplc.bridge.stream import Stream
 from rosplc.codec import Fault
 from rosplc.config.resolve import describe
 from rosplc.errors import ChannelError
-from rosplc.shm import Group, Liveness, OwnedChannel, Reader, Writer, distance
+from rosplc.shm import Group, OwnedChannel, Peer, Reader, Writer, distance
 from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
 from rosplc.shm.header import task_name
 
 _U = TypeVar("_U", Writer, Reader)
+_P = TypeVar("_P", bound=Port)
 
 _IN_ORDER = 1
 _LINE_WORDS = LINE_SIZE // 4
 _LONGEST_WAIT_NS = 200_000_000
-_LAZY_TICK_NS = 10_000_000
-"""The tick while no PLC writes anything: the wake-ups are what an idle bridge costs."""
+LAZY_TICK_NS = 10_000_000
+"""The tick while no PLC is there: the wake-ups are what an idle bridge costs."""
 _ALERT_NS = 10_000_000_000
 """How long after a message the configured tick holds, whether a writer beats or not."""
 
@@ -31,13 +34,13 @@ _ALERT_NS = 10_000_000_000
 class ChannelPort(Port, Generic[_U]):
     """One channel that this bridge owns; ``channel`` and ``user``, its writer or reader, may be None."""
 
-    def __init__(self, side: Side, context: Context) -> None:
+    def __init__(self, side: Stream, context: Context) -> None:
         self.side = side
         self.channel: OwnedChannel | None = None
         self.user: _U | None = None
         self.adopted = False
         self._context = context
-        self._alive: dict[int, tuple[int, Liveness]] = {}
+        self._peers: defaultdict[int, Peer] = defaultdict(Peer)
         self.peer_alive = False
         self._peer_gone_ns: int | None = None
         self._tasks: tuple[str, ...] = ()
@@ -59,7 +62,7 @@ class ChannelPort(Port, Generic[_U]):
             channel.close()
             raise
         self.channel, self.adopted = channel, channel.adopted
-        self._alive.clear()
+        self._peers.clear()
         if channel.replaced_reason:
             # With an error's code it was damaged or something else's, and not just of an older configuration.
             level = logging.WARNING if channel.replaced_reason.endswith("]") else logging.INFO
@@ -108,12 +111,6 @@ class ChannelPort(Port, Generic[_U]):
     def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
         """Return whether the PLC's side beats."""
         # Reads only the words needed: with 200 topics, whole snapshots would cost half a percent of a core.
-
-    def _lives(self, key: int, beat: int, beat_ms: int, count: int, now_ns: int) -> bool:
-        known = self._alive.get(key)
-        if known is None or known[0] != beat_ms:
-            known = self._alive[key] = (beat_ms, Liveness(beat_ms))
-        return known[1].observe(beat, count, now_ns)
 
     def status(self, now_ns: int) -> PortStatus:
         """Return what is known of the PLC."""
@@ -165,7 +162,7 @@ class PortToPlc(ChannelPort[Writer]):
         tasks = []
         for at in range(0, len(words), _LINE_WORDS):
             claim, beat, beat_ms, taken = words[at : at + 4]
-            if claim and self._lives(at, beat, beat_ms, taken, now_ns):
+            if claim and self._peers[at].observe(beat, taken, beat_ms, now_ns):
                 tasks.append(task_name(words[at + 12 : at + 16]))
         self._tasks = tuple(tasks)
         return bool(tasks)
@@ -183,7 +180,7 @@ class PortToPlc(ChannelPort[Writer]):
 class PortToRos(ChannelPort[Reader]):
     """A channel that the bridge reads."""
 
-    def __init__(self, side: Side, context: Context) -> None:
+    def __init__(self, side: Stream, context: Context) -> None:
         super().__init__(side, context)
         self._lost_before = 0  # by readers that are no more
         self._retained = False
@@ -229,7 +226,7 @@ class PortToRos(ChannelPort[Reader]):
         # A program that writes now and then promises no beat: its silence tells nothing, its process does.
         quiet = bool(epoch) and not beat_ms
         runs = channel.process.runs(epoch, channel.region.word(WRITER_LINE["writer_pid"])) if quiet else None
-        if self._lives(0, beat, beat_ms, head, now_ns):
+        if self._peers[0].observe(beat, head, beat_ms, now_ns):
             self._lived = epoch
             return bool(epoch)
         return quiet and (epoch == self._lived if runs is None else runs)
@@ -260,23 +257,42 @@ class PortToRos(ChannelPort[Reader]):
 class ChannelsToPlc(Waiting[PortToPlc]):
     """The channels that the bridge writes: who has a message writes it at once, and nothing is polled."""
 
-    def make(self, side: Side) -> PortToPlc:
+    def make(self, side: Stream) -> PortToPlc:
         """Return the port of a stream."""
         return PortToPlc(side, self._context)
 
 
-class ChannelsToRos(Ports[PortToRos]):
-    """The channels that the bridge reads, with one native call per tick for all of them."""
+class Grouped(Ports[_P]):
+    """Ports whose messages are looked for with one native call per tick."""
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
         self._now = context.clock.monotonic_ns
         self._tick_ns = tick_ns
         self._group = Group()
-        self._ports: dict[int, PortToRos] = {}
-        self._alert_until_ns = 0
+        self._ports: dict[int, _P] = {}  # by the numbers of their readers in the group
 
-    def make(self, side: Side) -> PortToRos:
+    def remove(self, port: _P) -> None:
+        """Look no more."""
+        for index in [index for index, known in self._ports.items() if known is port]:
+            self._group.remove(index)
+            del self._ports[index]
+
+    def wake(self) -> None:
+        """End the sleep."""
+        self._group.wake()
+
+    def _wait(self, tick_ns: int, longest_ns: int, due_ns: int | None) -> None:
+        left = longest_ns if due_ns is None else max(0, min(longest_ns, due_ns - self._now()))
+        self._group.wait(tick_ns, left)
+
+
+class ChannelsToRos(Grouped[PortToRos]):
+    """The channels that the bridge reads."""
+
+    _alert_until_ns = 0
+
+    def make(self, side: Stream) -> PortToRos:
         """Return the port of a stream."""
         return PortToRos(side, self._context)
 
@@ -287,27 +303,15 @@ class ChannelsToRos(Ports[PortToRos]):
             mode = _IN_ORDER if plan.every else 0
             self._ports[self._group.add_reader(port.user, port.side.codec.plan, mode, plan.slots)] = port
 
-    def remove(self, port: PortToRos) -> None:
-        """Look no more."""
-        for index in [index for index, known in self._ports.items() if known is port]:
-            self._group.remove(index)
-            del self._ports[index]
-
     def poll(self, due_ns: int | None) -> None:
         """Sleep until there is news, looked for at each tick."""
-        now = self._now()
-        patience = _LONGEST_WAIT_NS if due_ns is None else max(0, min(_LONGEST_WAIT_NS, due_ns - now))
-        self._group.wait(self.tick(now), patience)
+        self._wait(self.tick(self._now()), _LONGEST_WAIT_NS, due_ns)
 
     def tick(self, now_ns: int) -> int:
         """Return the time between two looks: longer while no PLC writes."""
         if now_ns < self._alert_until_ns or any(port.peer_alive for port in self._ports.values()):
             return self._tick_ns
-        return max(self._tick_ns, _LAZY_TICK_NS if self._ports else _LONGEST_WAIT_NS)
-
-    def wake(self) -> None:
-        """End the sleep."""
-        self._group.wake()
+        return max(self._tick_ns, LAZY_TICK_NS if self._ports else _LONGEST_WAIT_NS)
 
     def take(self, now_ns: int) -> tuple[int | None, list[PortToRos]]:
         """Take what is new from all channels in one call, and pass it on."""

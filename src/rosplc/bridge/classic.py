@@ -11,8 +11,9 @@ import threading
 from abc import abstractmethod
 from dataclasses import dataclass
 
-from rosplc.bridge.port import Context, Port, Side, Waiting, log
+from rosplc.bridge.port import Context, Port, Waiting, log
 from rosplc.bridge.status import ClassicStatus, PortStatus
+from rosplc.bridge.stream import Stream
 from rosplc.codec import Fault
 from rosplc.config.quantities import format_duration
 from rosplc.errors import ChannelError
@@ -35,7 +36,7 @@ class ClassicPort(Port):
 
     adopted = True  # other programs use the memory too: it is never retired
 
-    def __init__(self, side: Side, context: Context) -> None:
+    def __init__(self, side: Stream, context: Context) -> None:
         classic = side.plan.classic
         assert classic is not None
         self.side = side
@@ -241,7 +242,7 @@ class _Ready:
 class ClassicToPlc(ClassicPort):
     """A memory that the bridge writes: the newest message, under the lock."""
 
-    def __init__(self, side: Side, context: Context, ports: ClassicPorts) -> None:
+    def __init__(self, side: Stream, context: Context, ports: ClassicPorts) -> None:
         super().__init__(side, context)
         self._ports = ports
         self._pending: bytes | None = None  # as it came
@@ -337,7 +338,7 @@ class ClassicToPlc(ClassicPort):
 class ClassicToRos(ClassicPort):
     """A memory that the bridge reads: a changed image is a message."""
 
-    def __init__(self, side: Side, context: Context) -> None:
+    def __init__(self, side: Stream, context: Context) -> None:
         super().__init__(side, context)
         self._poll_ns = self._classic.poll_ns
         self._poll_at_ns = 0
@@ -427,7 +428,7 @@ class ClassicPorts(Waiting[ClassicPort]):
         self._direction = direction
         self._ports: list[ClassicPort] = []
 
-    def make(self, side: Side) -> ClassicPort:
+    def make(self, side: Stream) -> ClassicPort:
         """Return the port of a stream."""
         if self._direction is Direction.TO_PLC:
             return ClassicToPlc(side, self._context, self)

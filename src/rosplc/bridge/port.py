@@ -11,16 +11,18 @@ import logging
 import threading
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from rosplc.bridge.status import PortStatus
 from rosplc.clock import SYSTEM, Clock
-from rosplc.codec import Codec, Fault
-from rosplc.config.resolve import Plan, TopicPlan
+from rosplc.config.resolve import Plan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import EndpointStatus
 from rosplc.shm import Namespace
 from rosplc.shm.files import USUAL, Rights
+
+if TYPE_CHECKING:
+    from rosplc.bridge.stream import Stream
 
 log = logging.getLogger("rosplc.bridge")
 
@@ -114,38 +116,15 @@ class Counters:
     recovered: int = 0
 
 
-class Side(Protocol):
-    """What a port may ask of its stream."""
-
-    plan: TopicPlan
-    codec: Codec
-    counters: Counters
-    problem: str  # why the stream cannot be carried at present; empty if it is
-
-    def receive(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
-        """Take a message from the PLC, encoded."""
-
-    def delivered(self, data: bytes, flags: int) -> None:
-        """A message has reached the PLC; ``flags`` are those of its conversion."""
-
-    def refuse(self, fault: Fault, now_ns: int) -> None:
-        """Count and explain a message that cannot be converted."""
-
-    def note(self, now_ns: int, words: str, code: str = "") -> None:
-        """Remember and log what went wrong."""
-
-    def fail(self, now_ns: int, error: Exception) -> None:
-        """Remember an error that keeps the stream from being carried."""
-
-    def renewed(self) -> None:
-        """Another object is open, or none: the PLC does not have the last message any more."""
-
-
 class Port(Protocol):
-    """The PLC's side of one stream; what has a body is what a port does that does not say otherwise."""
+    """The PLC's side of one stream; what has a body is what a port does that does not say otherwise.
+
+    It tells its stream what comes of messages: :meth:`Stream.receive`, ``delivered``, ``refuse``, ``note``,
+    ``fail`` and ``renewed``.
+    """
 
     adopted: bool  # whether :meth:`open` found an object and kept it; never asked before that
-    side: Side
+    side: Stream
 
     def open(self) -> None:
         """Create or adopt the object, and claim it; SHM116 if another bridge holds its name."""
@@ -194,7 +173,7 @@ _P = TypeVar("_P", bound=Port)
 class Ports(Protocol[_P]):
     """All ports of one kind in one direction; except for :meth:`wake`, used by one thread at a time."""
 
-    def make(self, side: Side) -> _P:
+    def make(self, side: Stream) -> _P:
         """Return the port of a stream; nothing is opened yet."""
 
     def add(self, port: _P) -> None:

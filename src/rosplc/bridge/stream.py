@@ -28,7 +28,7 @@ _FLAG_QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
 
 class Stream(Notes, ABC):
-    """One topic; :class:`rosplc.bridge.port.Side` is what its port sees of it."""
+    """One topic: its endpoint in ROS, its port, and what is between them; both tell it what happens."""
 
     substituting = False  # whether something else is passed on in the source's place
 

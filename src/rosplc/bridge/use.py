@@ -300,11 +300,8 @@ class Use(Notes, ABC):
         record: bytes,
         part: Part | None = None,
         *,
-        correlation: int,
-        status: int,
-        client: bytes = b"",
-        reason: int = 0,
         stamp_ns: int = 0,
+        **words: Any,
     ) -> None:
         """Publish a message in one of the objects that the bridge writes; in the first unless said."""
         if not self._writers:
@@ -312,8 +309,7 @@ class Use(Notes, ABC):
         part = next(iter(self._writers)) if part is None else part
         writer, flags = self._writers[part], spec.FLAG_FIRST if part in self._first else 0
         self._first.discard(part)
-        words = {"correlation": correlation, "status": status, "reason": reason, "flags": flags}
-        writer.publish(record, client=client, stamp_ns=stamp_ns or self.context.clock.time_ns(), **words)
+        writer.publish(record, flags=flags, stamp_ns=stamp_ns or self.context.clock.time_ns(), **words)
 
     def _observe(self, claim: int, beat: int, count: int, beat_ms: int, now_ns: int) -> None:
         if claim != self._holder:
