@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import random
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
 
 from rosplc.ros import Qos, Reply, fields
 from tests.interop.graphs import LOCAL, free_domain
-from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import repeat_until
-from tests.verification.joint import Joint, made_joint
+from tests.verification.joint import Joint, made_joint, ros_side
 from tests.verification.plc_cell import store
 
 pytestmark = [pytest.mark.timeout(300), pytest.mark.verifies("parameters", own="kills")]
 
 CONFIG = """bridge: params
-ros: {domain: DOMAIN, SIDE}
+ros: {SIDE}
 shm: {directory: FOLDER}
 diagnostics: {enabled: false}
 parameters:
@@ -28,12 +24,6 @@ parameters:
 """
 SET, GET = "rcl_interfaces/srv/SetParametersAtomically", "rcl_interfaces/srv/GetParameters"
 ROUNDS = 12
-
-
-def configured(backend: str, domain: int, options: Mapping[str, object]) -> str:
-    """Return the configuration on a backend with its own settings."""
-    side = f"backend: {backend}" + (f", {backend}: {json.dumps(options)}" if options else "")
-    return CONFIG.replace("DOMAIN", str(domain)).replace("SIDE", side)
 
 
 class Cell:
@@ -87,13 +77,6 @@ class Cell:
         return [each["integer_value"] for each in found["values"]]
 
 
-@contextlib.contextmanager
-def zenoh_router() -> Iterator[dict[str, Any]]:
-    """Give the settings of nodes whose only way is a router: nothing is lost because links change."""
-    with free_port() as port, Router(port) as router:
-        yield {"mode": "client", "connect": [router.endpoint]}
-
-
 @pytest.mark.parametrize("backend", ["dds", "zenoh"])
 def test_kills_between_a_set_and_its_taking(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The PLC never has half of a set; what was confirmed stays; the next bridge tells what the PLC has."""
@@ -103,10 +86,8 @@ def test_kills_between_a_set_and_its_taking(backend: str, monkeypatch: pytest.Mo
     dice, outcomes = random.Random(28), {"taken": 0, "not": 0}
     with (
         free_domain() as domain,
-        zenoh_router() if backend == "zenoh" else contextlib.nullcontext({}) as options,
-        made_joint(
-            configured(backend, domain, options), "ROS_Parameters", domain, backend, options=options
-        ) as joint,
+        ros_side(backend, domain) as (side, options),
+        made_joint(CONFIG.replace("SIDE", side), "ROS_Parameters", domain, backend, options=options) as joint,
     ):
         cell = Cell(joint)
         joint.until(lambda: cell.clients[SET].ready, "the services")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from rosplc.plc.project import project_texts
 from rosplc.ros import open_backend
 from rosplc_st.build import Build, build
 from rosplc_st.machine import LibraryMachine
+from tests.interop.zenoh.processes import Router, free_port
 from tests.verification.plc_cell import layout_of, store
 
 WATCHDOG_S = 100.0
@@ -163,3 +165,18 @@ def made_joint(*arguments: Any, **others: Any) -> Iterator[Joint]:
         yield made
     finally:
         made.close()
+
+
+@contextlib.contextmanager
+def ros_side(backend: str, domain: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Give what a configuration has under ``ros`` for a backend, and its own settings.
+
+    Over Zenoh a router is the only way: nothing is lost because links change.
+    """
+    with contextlib.ExitStack() as stack:
+        options: dict[str, Any] = {}
+        if backend == "zenoh":
+            router = stack.enter_context(Router(stack.enter_context(free_port())))
+            options = {"mode": "client", "connect": [router.endpoint]}
+        own = f", {backend}: {json.dumps(options)}" if options else ""
+        yield f"backend: {backend}, domain: {domain}{own}", options

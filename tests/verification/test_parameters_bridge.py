@@ -9,7 +9,8 @@ import pytest
 
 from rosplc.ros import Qos, fields
 from rosplc.ros.parameters import EVENTS, KINDS
-from tests.verification.joint import Joint, made_joint
+from tests.interop.graphs import LOCAL, free_domain
+from tests.verification.joint import Joint, made_joint, ros_side
 from tests.verification.plc_cell import store
 
 pytestmark = pytest.mark.verifies("ros-blocks", own="translated Structured Text")
@@ -50,6 +51,7 @@ KIND = dict(
         strict=True,
     )
 )  # fmt: skip
+CLOCK = "rosgraph_msgs/msg/Clock"
 EVENT = "rcl_interfaces/msg/ParameterEvent"
 
 
@@ -59,13 +61,25 @@ class Asker:
     def __init__(self, joint: Joint) -> None:
         self.joint = joint
         self.events: list[dict[str, Any]] = []
+        self.clients: dict[str, Any] = {}
         take = lambda data, _: self.events.append(fields.unpack(store(), EVENT, data))  # noqa: E731
         joint.peer.subscribe(EVENTS, EVENT, Qos(depth=1000), take)
+
+    def use_sim_time(self, sim: bool, *, atomically: bool = True, **more: Any) -> list[tuple[bool, str]]:
+        asked = [{"name": "use_sim_time", "value": {"type": 1, "bool_value": sim}}, *wishes(more)]
+        if atomically:
+            results = [self.ask("SetParametersAtomically", parameters=asked)["result"]]
+        else:
+            results = self.ask("SetParameters", parameters=asked)["results"]
+        return [(each["successful"], each["reason"]) for each in results]
 
     def begin(self, service: str, **request: Any) -> list[dict[str, Any]]:
         kind, answers = f"rcl_interfaces/srv/{service}", []
         name = "".join(f"_{char.lower()}" if char.isupper() else char for char in service)[1:]
-        client = self.joint.peer.client(f"/rosplc_params/{name}", kind, Qos())
+        if service not in self.clients:
+            self.clients[service] = self.joint.peer.client(f"/rosplc_params/{name}", kind, Qos())
+        client = self.clients[service]
+        self.joint.until(lambda: client.ready, "the service")
         client.call(
             fields.pack(store(), f"{kind}_Request", request),
             lambda reply: answers.append(fields.unpack(store(), f"{kind}_Response", reply.payload or b"")),
@@ -204,3 +218,42 @@ def test_a_bridge_killed_before_the_plc_takes(joint: Joint) -> None:
     del joint.scan  # type: ignore[attr-defined]
     joint.until(lambda: asker.values()["count"] == 5, "the values of the set")
     assert asker.values()["max_speed"] == 1.5
+
+
+@pytest.mark.parametrize("backend", ["memory", "dds", "zenoh"])
+def test_use_sim_time(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on every node it is listed and set while the bridge runs; the PLC's block of ROS time follows."""
+    pytest.importorskip({"memory": "rosplc", "dds": "cyclonedds", "zenoh": "zenoh"}[backend])
+    for name, value in LOCAL.items():
+        monkeypatch.setenv(name, value)
+    with free_domain() as domain, ros_side(backend, domain) as (side, options):
+        config = CONFIG.replace(f"backend: memory, domain: {DOMAIN}", side) + "time: {plc: true}\n"
+        with made_joint(config, "ROS_Parameters", domain, backend, options=options) as joint:
+            joint.until(lambda: runs(joint), "bridge and PLC")
+            clock = joint.peer.advertise("/clock", CLOCK, Qos(depth=1))
+            asker = Asker(joint)
+
+            def sim() -> bool:
+                clock.write(fields.pack(store(), CLOCK, {"clock": {"sec": 7, "nanosec": 5}}))
+                seen = joint.machine.get("ROS_Read.ros_time.xSim")
+                return bool(seen) and joint.machine.get("ROS_Read.ros_time.uliNow") == 7_000_000_005
+
+            assert asker.ask("ListParameters", prefixes=[], depth=0)["result"]["names"][0] == "use_sim_time"
+            assert asker.ask("GetParameters", names=["use_sim_time"])["values"][0]["bool_value"] is False
+            joint.until(lambda: not sim() and joint.machine.get("ROS_Read.ros_time.xKnown"), "system time")
+            assert asker.use_sim_time(True) == [(True, "")]
+            joint.until(sim, "the time of /clock")
+            assert asker.ask("GetParameters", names=["use_sim_time"])["values"][0]["bool_value"] is True
+            joint.until(lambda: asker.changed() == {"use_sim_time"}, "the event")
+            assert asker.use_sim_time(False, count=4) == [(True, "")]
+            assert held(joint)["count"] == 4
+            joint.until(lambda: not joint.machine.get("ROS_Read.ros_time.xSim"), "the system's time")
+            joint.until(lambda: clock.matched == 0, "the end of the subscription")
+
+            joint.machine.stop()
+            joint.scan = lambda *_, **__: None  # type: ignore[method-assign]
+            refused = (False, "PLC is not running")
+            joint.until(lambda: asker.use_sim_time(True, count=5) == [refused], "the refusal")
+            assert asker.ask("GetParameters", names=["use_sim_time"])["values"][0]["bool_value"] is False
+            assert asker.use_sim_time(True, atomically=False, count=5) == [(True, ""), refused]
+            joint.until(lambda: clock.matched == 1, "the subscription")

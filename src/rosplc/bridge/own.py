@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
+from dataclasses import replace
 
 from rosplc.bridge import ros_time, rosout
 from rosplc.bridge.carrier import Carried, Duty
@@ -63,9 +64,11 @@ class OwnTopics:
                 self.ends[rosout.TOPIC] = rosout.PlcLog(lines, project, clock)
             if own_log:
                 logging.getLogger("rosplc").addHandler(lines)
+        sim = Parameter("use_sim_time", "bool", settings.time.use_sim_time, take=lambda _: None)
+        sim = self._sim = replace(sim, value=ros.given([sim]).get(sim.name, sim.value))
         if settings.time.plc:
-            sim = Parameter("use_sim_time", "bool", settings.time.use_sim_time)
-            time = ros_time.RosTime(project, backend, clock, ros.given([sim]).get(sim.name, sim.value))
+            time = ros_time.RosTime(project, backend, clock, sim.value)
+            self._sim = replace(sim, take=time.use)
             stack.callback(time.leave)
             self.beats.append(Duty("telling the time", ros_time.PERIOD_NS, time.write))
             self.ends[ros_time.TOPIC] = time
@@ -85,16 +88,16 @@ class OwnTopics:
 
         The ports of all streams are there, which are not connected. ``owned``: the node is this bridge's.
         """
-        backend, store, shown = self._backend, self._project.store, shown_parameters(self._ros.shown())
-        native = backend.name == "rclpy"
+        backend, store = self._backend, self._project.store
+        declared = [self._sim, *shown_parameters(self._ros.shown())]
         if self.parameters is not None:
-            if native and not owned:
+            if backend.name == "rclpy" and not owned:
                 log.warning("%s", _NOT_SERVED)
                 return (_NOT_SERVED,)
             inner = [each for each in streams if isinstance(each, Stream) and each.plan.of_parameters]
-            self._stack.callback(self.parameters.serve(backend, shown, inner).close)
-        elif owned and not native and store.ros_version == 2:
-            self._stack.callback(ParameterServer(backend, store, shown, clock=self._clock).close)
+            self._stack.callback(self.parameters.serve(backend, declared, inner).close)
+        elif owned and store.ros_version == 2:
+            self._stack.callback(ParameterServer(backend, store, declared, clock=self._clock).close)
         return ()
 
     def begin(self) -> None:

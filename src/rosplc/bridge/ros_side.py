@@ -62,7 +62,7 @@ class RosSide:
             options["config"] = str((self.config.base / options["config"]).absolute())
         if backend == "rclpy":
             options["ros_args"] = (*options.get("ros_args", ()), *self.arguments.others)
-            options["parameters"] = None if self.config.settings.parameters.declare else self.shown()
+            options["parameters"] = None  # the bridge serves them
         return options
 
     def shown(self) -> dict[str, str | list[str]]:
@@ -101,10 +101,8 @@ class RosSide:
 
     def _without_effect(self) -> list[str]:
         """Return the arguments for a client library that the bridge does not follow itself."""
-        others, unused = iter(self.arguments.others), ["-e", "--enclave"]
-        if not self.config.settings.parameters.declare:
-            unused += ["-p", "--params-file"]
-        return [f"{name} {next(others, '')}" for name in others if name in unused]
+        others = iter(self.arguments.others)
+        return [f"{name} {next(others, '')}" for name in others if name in ("-e", "--enclave")]
 
 
 class LiveTypes:

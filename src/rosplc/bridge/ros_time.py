@@ -23,16 +23,15 @@ class RosTime(OwnEnd):
 
     def __init__(self, project: Project, backend: Backend, clock: Clock, sim: bool) -> None:
         super().__init__()
-        self._store, self._clock, self._sim = project.store, clock, sim
+        self._store, self._clock, self._backend = project.store, clock, backend
         self._type = project.topic(TOPIC).type_name
         self._codec = Codec(compute_layout(project.store, _CLOCK_TYPE))
-        self._lock = threading.Lock()
+        self._lock, self._switching = threading.Lock(), threading.Lock()
         self._sim_ns = self._written_ns = 0
         self._took_ns = 0  # from the look at the clock to the PLC's object, at most of late
         self._source: Subscription | None = None
-        if sim:
-            qos = Qos("best_effort", depth=1)
-            self._source = backend.subscribe(_CLOCK, _CLOCK_TYPE, qos, self._on_clock)
+        self._sim = False
+        self.use(sim)
 
     @property
     def matched(self) -> int:  # type: ignore[override]
@@ -56,7 +55,18 @@ class RosTime(OwnEnd):
                 self.give(fields.pack(self._store, self._type, values), now)
                 self._took_ns = max(self._clock.monotonic_ns() - before, self._took_ns * 9 // 10)
 
+    def use(self, sim: bool) -> None:
+        """Take the time from ``/clock`` or from the system's clock; raises as the class."""
+        with self._switching:
+            if sim and self._source is None:
+                self._sim_ns = 0
+                qos = Qos("best_effort", depth=1)
+                self._source = self._backend.subscribe(_CLOCK, _CLOCK_TYPE, qos, self._on_clock)
+            elif not sim and self._source is not None:
+                self._source.close()
+                self._source = None
+            self._sim = sim
+
     def leave(self) -> None:
         """Listen to ``/clock`` no more."""
-        if self._source is not None:
-            self._source.close()
+        self.use(False)

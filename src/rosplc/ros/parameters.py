@@ -48,6 +48,7 @@ class Parameter:
     range: tuple[float, float, float] | None = None  # least, greatest, step (0: any); of numbers
     most: int = 2**32 - 1  # elements of an array at most
     longest: int = 2**32 - 1  # bytes of a string, or of each string of an array, at most
+    take: Callable[[Any], None] | None = None  # takes a new value at once; without it ``apply`` is asked
 
     @property
     def number(self) -> int:
@@ -145,6 +146,13 @@ class ParameterServer:
         if changed:
             self._tell("changed_parameters", changed)
 
+    def _take(self, values: Mapping[str, Any]) -> None:
+        """Have parameters take their values, of those that do so themselves."""
+        for name, value in values.items():
+            if (take := self.declared[name].take) is not None:
+                take(value)
+                self.changed({name: value})
+
     def _tell(self, what: str, names: Iterable[str]) -> None:
         stamp = fields.time(self._clock.time_ns())
         found = [{"name": name, "value": self._value(self.declared[name])} for name in names]
@@ -203,15 +211,24 @@ class ParameterServer:
                 values[name] = value
         return refused, values
 
+    def _others(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return those of some values that ``apply`` is asked for."""
+        return {name: value for name, value in values.items() if self.declared[name].take is None}
+
     def _set(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
-        refused, values = self._wish(request["parameters"])
+        asked = request["parameters"]
+        refused, values = self._wish(asked)
+        others = self._others(values)
+        self._take(values)
 
         def done(why: str) -> None:
-            reasons = [each or why for each in refused]
+            reasons = [
+                reason or why * (each["name"] in others) for reason, each in zip(refused, asked, strict=True)
+            ]
             answer(results=[{"successful": not each, "reason": each} for each in reasons])
 
-        if values:
-            self._apply(values, done)
+        if others:
+            self._apply(others, done)
         else:
             done("")
 
@@ -219,10 +236,12 @@ class ParameterServer:
         refused, values = self._wish(request["parameters"])
 
         def done(why: str) -> None:
+            if not why:
+                self._take(values)
             answer(result={"successful": not why, "reason": why})
 
         why = "; ".join(filter(None, refused))
-        if values and not why:
-            self._apply(values, done)
+        if (others := self._others(values)) and not why:
+            self._apply(others, done)
         else:
             done(why)

@@ -19,6 +19,7 @@ CONFIG = """bridge: params
 ros: {backend: rclpy, distro: kilted, domain: DOMAIN}
 shm: {directory: FOLDER}
 diagnostics: {enabled: false}
+time: {plc: true}
 parameters:
   declare:
     max_speed: {type: double, value: 0.5, range: [0, 2], description: metres per second}
@@ -105,6 +106,9 @@ def client(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
         made.close()
 
 
+OWN = ["use_sim_time", "version", "bridge", "topics", "config"]
+
+
 def held(client: Client, name: str) -> Any:
     return client.joint.machine.get(f"ROS_Parameters.values.{name}")
 
@@ -112,7 +116,7 @@ def held(client: Client, name: str) -> Any:
 def test_what_rclpy_does_with_parameters(client: Client, tmp_path: Path) -> None:
     """List, describe, get, set, set atomically and load; the program has what was set, or nothing of it."""
     listed = client.ask("list_parameters", [], 10).result
-    assert list(listed.names) == ["version", "bridge", "topics", "config", *NAMES]
+    assert list(listed.names) == [*OWN, *NAMES]
     assert list(listed.prefixes) == ["arm"]
     described = client.ask("describe_parameters", ["max_speed", "serial"]).descriptors
     assert (described[0].description, described[0].floating_point_range[0].to_value) == (
@@ -141,7 +145,7 @@ def test_what_rclpy_does_with_parameters(client: Client, tmp_path: Path) -> None
     assert client.set("set_parameters_atomically", count=8, arm__on=True, arm__gains=[3.0]) == [(True, "")]
     assert (held(client, "count"), held(client, "arm_on"), held(client, "arm_gains[0]")) == (8, True, 3.0)
 
-    path = tmp_path / "dumped.yaml"
+    path = tmp_path / "written.yaml"
     path.write_text(
         yaml.safe_dump({"/rosplc_params": {"ros__parameters": {"count": 9, "arm": {"on": False}}}})
     )
@@ -153,6 +157,68 @@ def test_what_rclpy_does_with_parameters(client: Client, tmp_path: Path) -> None
 
     client.joint.machine.set("ROS_Parameters.values.serial", "C-3")
     client.until(lambda: client.values()[2] == "C-3", "what the program has changed")
+
+
+def test_dump_and_load(client: Client, tmp_path: Path) -> None:
+    """A file of all values, as `ros2 param dump` writes it, brings them back; what is only shown is not."""
+    from rclpy.parameter import parameter_value_to_python
+
+    client.joint.until(lambda: client.joint.get("block", "xValid"), "the PLC")
+    first, names = client.values(), client.ask("list_parameters", [], 0).result.names
+    tree: dict[str, Any] = {}
+    for name, value in zip(names, client.ask("get_parameters", names).values, strict=True):
+        group, _, last = name.rpartition(".")
+        plain = parameter_value_to_python(value)
+        is_array = not isinstance(plain, bool | int | float | str)
+        if name != "arm.raw":  # bytes have no form in such a file, and rclpy refuses them
+            (tree.setdefault(group, {}) if group else tree)[last] = list(plain) if is_array else plain
+    path = tmp_path / "dumped.yaml"
+    path.write_text(yaml.safe_dump({"/rosplc_params": {"ros__parameters": tree}}))
+    changed = client.set("set_parameters", count=7, max_speed=1.0, arm__names=["z"], arm__flags=[False, True])
+    assert changed == [(True, "")] * 4
+    reasons = [each.reason for each in client.ask("load_parameter_file", str(path)).results]
+    assert sorted(filter(None, reasons)) == sorted(f"{name} is read-only" for name in (*OWN[1:], "serial"))
+    assert [str(each) for each in client.values()] == [str(each) for each in first]
+
+
+def test_lists_as_rclpy_answers(client: Client) -> None:
+    """Prefixes and depth, all together: what a node of rclpy with the same parameters lists."""
+    import rclpy
+    from rclpy.parameter_client import AsyncParameterClient
+
+    node = rclpy.create_node("same", context=client.context)
+    client.executor.add_node(node)
+    for name in (*OWN[1:], *NAMES):
+        node.declare_parameter(name, "")
+    of_rclpy = AsyncParameterClient(client.node, "/same")
+    client.until(of_rclpy.services_are_ready, "its services")
+    ours, more = client.client, "start_type_description_service"
+    for prefixes in ([], ["arm"], ["arm."], ["ar"], ["count", "arm.on"], ["arm", "count"], ["none"], [""]):
+        for depth in (0, 1, 2, 10):
+            found = []
+            for client.client in (ours, of_rclpy):
+                result = client.ask("list_parameters", prefixes, depth).result
+                found.append(([name for name in result.names if name != more], list(result.prefixes)))
+            assert found[0] == found[1], (prefixes, depth)
+    client.client = ours
+    node.destroy_node()
+
+
+def test_use_sim_time(client: Client) -> None:
+    """A client of rclpy sets it, and the PLC's time is that of /clock."""
+    from rosgraph_msgs.msg import Clock
+
+    seen = lambda name: client.joint.machine.get(f"ROS_Read.ros_time.{name}")  # noqa: E731
+    client.until(lambda: seen("xKnown"), "the system's time")
+    assert not seen("xSim")
+    assert client.set("set_parameters", use_sim_time=True) == [(True, "")]
+    clock, message = client.node.create_publisher(Clock, "/clock", 1), Clock()
+    message.clock.sec = 7
+    client.until(
+        lambda: clock.publish(message) or (seen("xSim") and seen("uliNow") == 7 * 10**9), "the time of /clock"
+    )
+    assert client.set("set_parameters_atomically", use_sim_time=False, count=8) == [(True, "")]
+    client.until(lambda: not seen("xSim") and held(client, "count") == 8, "the system's time again")
 
 
 def test_a_killed_bridge_and_a_plc_that_stands(client: Client) -> None:

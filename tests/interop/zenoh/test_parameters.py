@@ -11,9 +11,8 @@ pytest.importorskip("zenoh")
 pytest.importorskip("zenoh_ros2_sdk")
 
 from rosplc.ros import Qos
-from tests.interop.zenoh.processes import Router, free_port
 from tests.interop.zenoh.sdk import SdkPeer
-from tests.verification.joint import Joint, made_joint
+from tests.verification.joint import Joint, made_joint, ros_side
 from tests.verification.plc_cell import store
 from tests.verification.test_parameters_bridge import CONFIG, INITIAL, KIND, wishes
 
@@ -65,10 +64,9 @@ class Sdk:
 
 @pytest.fixture
 def sdk() -> Iterator[Sdk]:
-    with free_port() as port, Router(port) as router:
-        options = {"mode": "client", "connect": [router.endpoint]}
-        side = f"backend: zenoh, zenoh: {{mode: client, connect: [{router.endpoint}]}}, domain: {DOMAIN}"
+    with ros_side("zenoh", DOMAIN) as (side, options):
         config = CONFIG.replace("backend: memory, domain: 57", side)
+        port = int(options["connect"][0].rpartition(":")[2])
         with (
             made_joint(config, "ROS_Parameters", DOMAIN, "zenoh", options=options) as joint,
             SdkPeer(port, DOMAIN) as peer,

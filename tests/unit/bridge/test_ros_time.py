@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -56,10 +57,13 @@ def test_the_time_of_clock(cell: Cell) -> None:
     assert publisher.matched == 0
 
 
-@pytest.mark.parametrize("given", ["use_sim_time:=true", "rosplc_cell:use_sim_time:=True"])
-def test_the_parameter_of_the_command_line(cell: Cell, given: str) -> None:
-    """`-p use_sim_time:=true` says the same as the configuration."""
-    arguments = RosArguments.parse(["-p", given])
+@pytest.mark.parametrize("given", ["-p use_sim_time:=true", "-p rosplc_cell:use_sim_time:=True", "file"])
+def test_the_parameter_of_the_command_line(cell: Cell, given: str, tmp_path: Path) -> None:
+    """`-p use_sim_time:=true` says the same as the configuration, and so does a file of parameters."""
+    if given == "file":
+        (tmp_path / "p.yaml").write_text("rosplc_cell: {ros__parameters: {use_sim_time: true}}\n")
+        given = f"--params-file {tmp_path / 'p.yaml'}"
+    arguments = RosArguments.parse(given.split())
     publisher = cell.publisher("/clock", CLOCK)
     with Bridge(parse_config(cell.config(NONE, more=TIME)), arguments=arguments):
         assert publisher.matched == 1
