@@ -3,6 +3,7 @@
 * A link that leads out of ``docs/`` is followed: the pages of ``spec/`` and the like become pages of the
   site, any other file is shown as a page of its own, and a folder as its README or a list of its files.
   The site is complete in itself, and says what this version of the sources says.
+* A drawing that has a narrow one beside it, ``NAME-narrow.svg``, is that on a telephone.
 * The navigation is what each folder's ``README.md`` lists. A page is listed once, by hand, where its readers
   look for it, and there is no second list to forget.
 """
@@ -175,3 +176,15 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     # Markdown inside of HTML is Markdown, as on GitHub.
     return indented(rewrite(markdown, led)).replace("<details>", '<details markdown="1">')
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Show a drawing's narrow form on a narrow screen."""
+
+    def responsive(found: re.Match[str]) -> str:
+        narrow = f"{found[1]}-narrow.svg"
+        if files.get_file_from_path(f"images/{posixpath.basename(narrow)}") is None:
+            return found[0]
+        return f'<picture><source media="(max-width: 44.9375em)" srcset="{narrow}">{found[0]}</picture>'
+
+    return re.sub(r'<img [^>]*?src="([^"]*)\.svg"[^>]*>', responsive, html)

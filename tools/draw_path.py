@@ -1,4 +1,4 @@
-"""Write docs/images/path.svg: the path of a message, readable on light and dark pages."""
+"""Write docs/images/path.svg and, for telephones, path-narrow.svg: the path of a message."""
 
 from __future__ import annotations
 
@@ -15,19 +15,26 @@ def part(x: float, y: float, width: float, title: str, subtitle: str) -> str:
     )
 
 
-def channel(x: float, y: float, name: str, newest: int) -> str:
+def channel(x: float, y: float, name: str, newest: int, width: float = 188) -> str:
     """Return an object in shared memory: its name, its slots, the newest one filled."""
+    step = (width - 36) / 4
     slots = "".join(
-        f'<rect x="{x + 20 + 38 * i:g}" y="{y + 27:g}" width="34" height="18" '
+        f'<rect x="{x + 20 + step * i:g}" y="{y + 27:g}" width="{step - 4:g}" height="18" '
         f'class="{"full" if i == newest else "slot"}"/>'
         for i in range(4)
     )
-    return box(x, y, 188, 56, "shm") + text(x + 94, y + 18, name, "mono") + slots
+    return box(x, y, width, 56, "shm") + text(x + width / 2, y + 18, name, "mono") + slots
 
 
 def arrow(x1: float, x2: float, y: float) -> str:
     """Return a horizontal arrow."""
     return stroke(f"M{x1:g} {y:g}H{x2:g}")
+
+
+TITLE = (
+    "A message goes from ROS through the bridge and a channel in shared memory into the PLC's scan "
+    "cycle, and back the same way."
+)
 
 
 def image() -> str:
@@ -59,14 +66,38 @@ def image() -> str:
         text(635, 198, "whole message always stays", "small"),
         text(480, 318, "no lock, no wait and no system call on the PLC's side", "small"),
     ]
-    title = (
-        "A message goes from ROS through the bridge and a channel in shared memory into the PLC's scan "
-        "cycle, and back the same way."
-    )
-    return picture(title, 24, WIDTH, BOTTOM, parts)
+    return picture(TITLE, 24, WIDTH, BOTTOM, parts)
 
 
-DRAWINGS = {"path.svg": image}
+def narrow() -> str:
+    """Return the same from top to bottom: towards the PLC on the left, towards ROS on the right."""
+    down, up, width = 14, 194, 152
+    parts = [
+        box(4, 8, 352, 48) + text(180, 28, "ROS 2 graph", "bold"),
+        text(180, 46, "any node, any message type, over DDS", "small"),
+        box(4, 82, 352, 196, "area") + text(180, 102, "bridge", "bold"),
+        text(180, 118, "one YAML file", "small"),
+        text(180, 298, "/dev/shm", "bold"),
+        box(4, 388, 352, 112, "area") + text(180, 407, "PLC", "bold"),
+        text(180, 423, "its scan cycle", "small"),
+        text(180, 518, "no lock, no wait and no system call on the PLC's side", "small"),
+    ]
+    for x, name, newest, block, what in (
+        (down, "cmd_vel", 2, "Read block", "newest whole message"),
+        (up, "joint_states", 1, "Write block", "publishes, never waits"),
+    ):
+        parts += [
+            part(x, 120, width, "backend", "raw CDR bytes"),
+            part(x, 208, width, "codec", "one pass, checked"),
+        ]
+        parts += [channel(x, 308, name, newest, width), part(x, 432, width, block, what)]
+        for above, below in ((56, 120), (176, 208), (264, 308), (364, 432)):
+            ends = (above, below - 2) if x == down else (below, above + 2)
+            parts.append(stroke(f"M{x + width / 2:g} {ends[0]:g}V{ends[1]:g}"))
+    return picture(TITLE, 0, 360, 528, parts)
+
+
+DRAWINGS = {"path.svg": image, "path-narrow.svg": narrow}
 
 if __name__ == "__main__":
     write(DRAWINGS)

@@ -11,6 +11,9 @@ text { font: 14px system-ui, -apple-system, "Segoe UI", sans-serif; fill: #1f232
 .small { font-size: 12px; fill: #59636e }
 .mono { font: 12px ui-monospace, "DejaVu Sans Mono", monospace; fill: #59636e }
 .bold { font-weight: 600 }
+.pin { font: 11px ui-monospace, "DejaVu Sans Mono", monospace }
+.pin.bold { font-weight: 600; font-size: 12px }
+.dim { fill: #59636e }
 .on { fill: #1f2328 }
 .left { text-anchor: start }
 .right { text-anchor: end }
@@ -28,7 +31,7 @@ text { font: 14px system-ui, -apple-system, "Segoe UI", sans-serif; fill: #1f232
 #head path { fill: #1f2328 }
 @media (prefers-color-scheme: dark) {
   text { fill: #f0f6fc }
-  .small, .mono { fill: #9198a1 }
+  .small, .mono, .dim { fill: #9198a1 }
   .on { fill: #f0f6fc }
   .page { fill: #0d1117 }
   .area, .line { stroke: #656c76 }

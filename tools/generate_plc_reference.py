@@ -1,9 +1,12 @@
-"""Write docs/reference/plc-blocks.md and plc-calls.md from the generator; ``--verify`` only compares."""
+"""Write plc-blocks.md, plc-calls.md and the pictures of their blocks; ``--verify`` only compares."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
+from draw_block import block_picture
+from drawing import IMAGES
 from generated_page import REFERENCE, filled, run
 from rosplc.config import parse_config, resolve
 from rosplc.config.plans import ClassicPlan
@@ -30,6 +33,7 @@ time: {plc: true}
 transforms: {tool: {target: base_link, source: tool0}}
 """
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"
+_pictures: dict[Path, str] = {}  # of the blocks on the pages, filled while those are written
 
 
 def _cell(text: str) -> str:
@@ -40,11 +44,30 @@ def _table(variables: Iterable[Variable]) -> list[str]:
     lines = ["| name | type | initial | meaning |", "| --- | --- | --- | --- |"]
     for variable in variables:
         initial = f"`{variable.initial}`" if variable.initial is not None else ""
-        given = f"`{variable.type}`" if "_Fibonacci" not in variable.type else "the action's type"
-        given = given if "_Trigger" not in variable.type else "the service's type"
-        kind = "the message's type" if variable.type == EXAMPLE_DUT else given
-        lines.append(f"| `{variable.name}` | {kind} | {initial} | {_cell(variable.comment)} |")
+        kind = _of_users(variable.type)
+        shown = f"the {kind}'s type" if kind else f"`{variable.type}`"
+        lines.append(f"| `{variable.name}` | {shown} | {initial} | {_cell(variable.comment)} |")
     return [*lines, ""]
+
+
+def _of_users(type_name: str) -> str:
+    """Return of what kind a type is that depends on the user's message, service or action, or nothing."""
+    kinds = {EXAMPLE_DUT: "message", "_Fibonacci": "action", "_Trigger": "service"}
+    return next((kind for part, kind in kinds.items() if part in type_name), "")
+
+
+def _picture(pou: Pou, chain: list[Pou], below: str = "") -> list[str]:
+    """Draw a block, and return the line of the page that shows it."""
+    inputs, outputs = (
+        [
+            (variable.name, f"‹{kind}›" if (kind := _of_users(variable.type)) else variable.type)
+            for variable in of
+        ]
+        for of in (_of(chain, "VAR_INPUT"), _of(chain, "VAR_OUTPUT"))
+    )
+    path = IMAGES / "blocks" / f"{pou.name}.svg"
+    _pictures[path] = block_picture(pou.name, below, inputs, outputs)
+    return [f"![{pou.name}: inputs left, outputs right](../images/blocks/{path.name})", ""]
 
 
 def _chain(pou: Pou, pous: dict[str, Pou]) -> list[Pou]:
@@ -59,7 +82,7 @@ def _of(pous: Iterable[Pou], kind: str) -> list[Variable]:
 
 def _block(title: str, pou: Pou, pous: dict[str, Pou]) -> list[str]:
     chain = _chain(pou, pous)
-    lines = [f"## {title}", "", _sentence(chain[-2].comment), ""]
+    lines = [f"## {title}", "", _sentence(chain[-2].comment), "", *_picture(pou, chain)]
     for kind, heading in (("VAR_INPUT", "Inputs"), ("VAR_OUTPUT", "Outputs")):
         lines += [f"### {heading} of {title}", "", *_table(_of(chain, kind))]
     public = [
@@ -94,6 +117,8 @@ def _helper(item: Item) -> list[str]:
     if isinstance(item, Enumeration):
         return [*lines, ", ".join(f"`{name}` {number}" for name, number in item.values), ""]
     assert isinstance(item, Pou)
+    if item.kind == "FUNCTION_BLOCK":
+        lines += _picture(item, [item], f"extends {item.extends}" if item.extends else "")
     blocks = item.blocks
     for kind, heading in (("VAR_INPUT", "Inputs"), ("VAR_OUTPUT", "Outputs")):
         variables = [v for block in blocks if block.kind == kind for v in block.variables]
@@ -163,4 +188,4 @@ def call_parts() -> dict[str, str]:
 
 if __name__ == "__main__":
     texts = {PAGE: filled(PAGE, parts()), CALLS_PAGE: filled(CALLS_PAGE, call_parts())}
-    raise SystemExit(run(__doc__, texts))
+    raise SystemExit(run(__doc__, texts | _pictures))

@@ -204,6 +204,26 @@ def test_no_page_is_wider_than_a_telephone_or_fetches_from_elsewhere(browser: An
     assert [url for url in asked if not url.startswith((served, "data:", "blob:"))] == []
 
 
+def test_pictures_of_the_path_and_of_blocks_fit_a_telephone(browser: Any, served: str) -> None:
+    """They are seen whole, in a form or at a size that can be read there."""
+    page = browser.new_page(viewport=TELEPHONE)
+    page.set_default_timeout(WATCHDOG_MS)
+    widths = []
+    for address, picture in (
+        ("", "path"),
+        ("reference/plc-blocks/", "blocks/"),
+        ("reference/plc-calls/", "blocks/"),
+    ):
+        page.goto(served + address)
+        shown = page.locator(f'.md-typeset img[src*="{picture}"]')
+        widths += shown.evaluate_all("all => all.map(each => each.getBoundingClientRect().right)")
+        if picture == "path":
+            assert shown.evaluate("each => each.currentSrc").endswith("/path-narrow.svg")
+    page.close()
+    assert len(widths) > 10
+    assert max(widths) <= TELEPHONE["width"]
+
+
 def test_a_command_is_copied_without_its_prompt_and_output(browser: Any, served: str) -> None:
     """What a reader pastes into a terminal is the command."""
     context = browser.new_context(permissions=["clipboard-read", "clipboard-write"])

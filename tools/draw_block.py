@@ -1,0 +1,43 @@
+"""The picture of a function block as a graphical editor shows it: inputs left, outputs right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drawing import box, picture, stroke, text
+
+ROW, TOP = 17, 8
+CHARACTER = 6.7  # the width of one in 11 px of a monospaced font
+STUB, GAP = 14, 22
+
+Pin = tuple[str, str]
+"""A pin's name and type."""
+
+
+def block_picture(name: str, below: str, inputs: Sequence[Pin], outputs: Sequence[Pin]) -> str:
+    """Return the box of a block: its name, a smaller line, its pins, and their types outside."""
+    given, inner, outer, taken = (
+        CHARACTER * max((len(pin[part]) for pin in pins), default=0)
+        for pins, part in ((inputs, 1), (inputs, 0), (outputs, 0), (outputs, 1))
+    )
+    left = given + STUB + 6
+    inside = max(inner + GAP + outer + 12, CHARACTER * 1.15 * len(name) + 16, CHARACTER * len(below) + 16)
+    right = left + inside
+    width = right + STUB + 6 + taken
+    head = TOP + (40 if below else 26)
+    bottom = head + ROW * max(len(inputs), len(outputs), 1) + 8
+    drawn = [
+        box(left, TOP, inside, bottom - TOP, "box", 2),
+        text(left + inside / 2, TOP + 18, name, "pin bold"),
+        *([text(left + inside / 2, TOP + 33, below, "pin dim")] if below else []),
+    ]
+    for number, (pin, kind) in enumerate(inputs):
+        y = head + ROW * number + 10
+        drawn += [stroke(f"M{left - STUB:g} {y - 4:g}H{left:g}", "line"), text(left + 5, y, pin, "pin left")]
+        drawn.append(text(left - STUB - 4, y, kind, "pin dim right"))
+    for number, (pin, kind) in enumerate(outputs):
+        y = head + ROW * number + 10
+        drawn += [stroke(f"M{right:g} {y - 4:g}H{right + STUB:g}", "line")]
+        drawn += [text(right - 5, y, pin, "pin right"), text(right + STUB + 4, y, kind, "pin dim left")]
+    title = f"The block {name}: {len(inputs)} inputs on the left, {len(outputs)} outputs on the right."
+    return picture(title, 0, width + 8, bottom + 8, drawn)
