@@ -341,6 +341,24 @@ class BasePublisher(BaseEndpoint):
     peer_does = "subscribes to"
     kind = "publisher"
 
+    def _emit(self, payload: bytes, stamp_ns: int) -> bool:
+        """Send one message; False if it was dropped. The lock is held."""
+        raise NotImplementedError
+
+    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
+        """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
+        data = self._checked(payload)
+        with self._lock:
+            if self.closed:
+                raise self._closed()
+            now = self._clock.time_ns()
+            if not self._emit(data, now if stamp_ns is None else stamp_ns):
+                self._dropped += 1
+                return False
+            self._messages += 1
+            self._last_ns = now
+        return True
+
 
 class KeepingServer(BaseEndpoint):
     """A service being provided; keeps what the backend needs of a caller until it answers or refuses."""
@@ -608,13 +626,20 @@ class BaseNode(Opener):
 
     # -- what is wrong
 
-    def _judge(self, endpoint: Any) -> tuple[bool, list[Problem]]:
-        """Return whether an endpoint has peers, and what is wrong with them."""
+    def _judge(self, endpoint: Any) -> tuple[bool, Iterable[Problem | None]]:
+        """Return whether an endpoint has peers, and what is wrong with them, None for nothing."""
         raise NotImplementedError
+
+    def _other_servers(self, endpoint: Any) -> list[str]:
+        """Return the other servers of the service that an endpoint belongs to."""
+        return []
 
     def diagnose(self, endpoint: Any) -> Problem:
         """Return what keeps peers from matching an endpoint; empty texts if all is well."""
-        peers, problems = self._judge(endpoint)
+        peers, found = self._judge(endpoint)
+        problems = [*filter(None, found)]
+        if endpoint.serves and (too_many := several(endpoint, self._other_servers(endpoint))):
+            problems.append(too_many)
         if problems:
             return max(problems)[0], listed(sorted(words for _, words in problems))
         return "", "" if peers else f"no node {endpoint.peer_does} {endpoint.topic}"

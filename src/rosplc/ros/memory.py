@@ -77,18 +77,10 @@ class MemoryPublisher(_base.BasePublisher, _Endpoint):
         latched = self.qos.depth if self.qos.durability == "transient_local" else 0
         self.kept: deque[tuple[bytes, int]] = deque(maxlen=latched)
 
-    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
-        data = self._checked(payload)
-        with _graph:
-            if self.closed:
-                raise self._closed()
-            self._last_ns = self._clock.time_ns()
-            message = (data, self._last_ns if stamp_ns is None else stamp_ns)
-            self.kept.append(message)
-            self._messages += 1
-            for peer in self.peers():
-                peer.put(*message)
+    def _emit(self, payload: bytes, stamp_ns: int) -> bool:
+        self.kept.append((payload, stamp_ns))
+        for peer in self.peers():
+            peer.put(payload, stamp_ns)
         return True
 
 
@@ -178,16 +170,16 @@ class MemoryBackend(_base.BaseNode):
                         endpoint.put(*message)
         return endpoint
 
-    def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[_base.Problem]]:
+    def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[_base.Problem | None]]:
         with _graph:
             others = endpoint.others()
-            problems = [_base.explain(other.info, endpoint) for other in others]
-            if endpoint.serves:
-                nodes = [end for node in _domains.get(self.domain, []) for end in node.endpoints()]
-                same = [end for end in nodes if end.serves and end.topic == endpoint.topic]
-                servers = [end for end in same if end.direction == "in" and end is not endpoint]
-                problems.append(_base.several(endpoint, [f"node {end.info.node}" for end in servers]))
-            return bool(others), [*filter(None, problems)]
+            return bool(others), [_base.explain(other.info, endpoint) for other in others]
+
+    def _other_servers(self, endpoint: _Endpoint) -> list[str]:
+        with _graph:
+            ends = [end for node in _domains.get(self.domain, []) for end in node.endpoints()]
+        same = [end for end in ends if end.serves and end.topic == endpoint.topic and end is not endpoint]
+        return [f"node {end.info.node}" for end in same if end.direction == "in"]
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""

@@ -67,6 +67,12 @@ def ros_type_name(name: str) -> str:
     return "/".join(found.groups()) if found else name
 
 
+def service_type_name(name: str) -> str:
+    """Undo :func:`dds_type_name` for a service's request or response; the name is the service's."""
+    found = ros_type_name(name)
+    return found if found == name else re.sub("_(?:Request|Response)$", "", found)
+
+
 def join(namespace: str, name: str) -> str:
     """Return ``name`` inside ``namespace``: ``/`` and ``talker`` give ``/talker``."""
     return f"{namespace.rstrip('/')}/{name}"

@@ -287,7 +287,7 @@ class DdsBackend(BaseNode):
         self._suspects: dict[str, int] = {}
         self.domain = domain_id(context.domain, environment)
         check_peers(environment, store.distro)
-        tracing = TRACING.format(library_log().path)
+        tracing = TRACING.format(library_log.path)
         enter(self.domain, domain_config(environment, store.distro, tracing))
         try:
             self._connect()
@@ -438,7 +438,7 @@ class DdsBackend(BaseNode):
                     self._announcer.announce(dict(guids))
                 if (now := self.clock.monotonic_ns()) >= next_tick:
                     next_tick = now + _TICK_NS
-                    library_log().drain()
+                    library_log.drain()
                     self._tick(now)
             except Exception:  # a defect; but the other topics have to go on
                 self.logger.exception("the receive thread of %s had an error", self.node)
@@ -477,14 +477,15 @@ class DdsBackend(BaseNode):
         for endpoint in endpoints:
             self._warn(endpoint)
 
-    def _judge(self, endpoint: Endpoint) -> tuple[bool, list[Problem]]:
+    def _judge(self, endpoint: Endpoint) -> tuple[bool, list[Problem | None]]:
         peers = self.peers.on(endpoint.dds_topic, "out" if endpoint.direction == "in" else "in")
         matched = endpoint.matched_handles()
         problems = [self._explain(endpoint, peer, peer.handle in matched) for peer in peers]
-        if endpoint.serves:
-            servers = [peer for peer in self.peers.on(endpoint.dds_topic, "in") if peer.guid != endpoint.guid]
-            problems.append(_base.several(endpoint, [self._name(peer) for peer in servers]))
-        return bool(peers or matched), [*filter(None, problems)]
+        return bool(peers or matched), problems
+
+    def _other_servers(self, endpoint: Endpoint) -> list[str]:
+        servers = self.peers.on(endpoint.dds_topic, "in")
+        return [self._name(peer) for peer in servers if peer.guid != endpoint.guid]
 
     def _name(self, peer: Peer) -> str:
         own = self.node if peer.guid[:12] == self._guid[:12] else ""

@@ -29,7 +29,7 @@ class Endpoint(BaseEndpoint):
         self.ref: int = entity._ref
         self.reader_ref = self.ref
         self._entity = entity
-        self._unfit_before = library_log().dropped(self._received_topic)
+        self._unfit_before = library_log.dropped(self._received_topic)
 
     def _names(self) -> tuple[str, str]:
         """Return the topics of DDS: that of ``entity``, and the one whose messages are received."""
@@ -57,9 +57,8 @@ class Endpoint(BaseEndpoint):
         return samples
 
     def _unfit(self) -> int:
-        log = library_log()
-        log.drain()
-        return log.dropped(self._received_topic) - self._unfit_before
+        library_log.drain()
+        return library_log.dropped(self._received_topic) - self._unfit_before
 
     def entities(self) -> tuple[Any, ...]:
         """Return what is deleted at the end."""

@@ -170,7 +170,7 @@ _PAGE = 4096
 
 
 class LibraryLog:
-    """The reading side of the library's trace output, which it writes to ``path``; one per process.
+    """The reading side of the library's trace output, which it writes to ``path``.
 
     A message whose bytes do not fit its type is dropped inside the C library; the only trace is a warning. A
     file in memory costs no more than a write and can neither block the library nor need the GIL, as a
@@ -209,17 +209,7 @@ class LibraryLog:
             return self._dropped[topic]
 
 
-_instance: LibraryLog | None = None
-_instance_lock = threading.Lock()
-
-
-def library_log() -> LibraryLog:
-    """Return the process's one :class:`LibraryLog`."""
-    global _instance
-    with _instance_lock:
-        if _instance is None:
-            _instance = LibraryLog()
-        return _instance
+library_log = LibraryLog()  # the one of the process
 
 
 # The part of the library's configuration that leads its warnings to a path.

@@ -37,11 +37,10 @@ from rosplc.ros._base import is_cdr
 from rosplc.ros.backend import EndpointInfo, Qos
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import IdlTypes, ros_service, ros_topic
-from rosplc.ros.names import ros_type_name
+from rosplc.ros.names import ros_type_name, service_type_name
 
 _TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
 _SERVICE_ID = re.compile(rb"(?:^|;)(?:client|service)id=([^;]*);")
-_PART = re.compile("_(?:Request|Response)$")
 _CYCLONE = b"\x01\x10"  # The vendor, with which ids begin.
 _BATCH = 256
 _INFINITE = 2**63 - 1
@@ -93,13 +92,13 @@ class PeerTable:
             _, topic, kind, said, info, _ = shown
             (self.left.add if _gone(info) else self.left.discard)(guid)
             if guid not in self.left and topic is not None and kind is not None and said is not None:
-                name, kind = ros_topic(topic) or topic, ros_type_name(kind)
+                name, type_name = ros_topic(topic) or topic, ros_type_name(kind)
                 if service := ros_service(topic):
-                    name, kind = service, _PART.sub("", kind)
+                    name, type_name = service, service_type_name(kind)
                 elif participant == self._own:
                     return
                 *settings, service_id = said
-                endpoint = EndpointInfo(name, kind, direction, "", *settings)  # type: ignore[arg-type]
+                endpoint = EndpointInfo(name, type_name, direction, "", *settings)  # type: ignore[arg-type]
                 peer = Peer(guid, info.instance_handle, topic, endpoint, service_id)
                 with self._lock:
                     self._peers[guid] = peer

@@ -6,7 +6,6 @@ import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
@@ -209,7 +208,9 @@ class RclpyBackend(BaseNode):
         type_hash = self._store.type_hash(f"{name}_Request" if kind.serves else name)
         endpoint: RclpyEndpoint = kind(*receiver, self, full, name, qos, type_hash)
         settings = ends.profile(_base.queue_of(qos) if kind.serves else qos)
-        make = partial(endpoint.make, self._node, native_type, full, settings, callback_group=self._group)
+        create = getattr(self._node, f"create_{endpoint.native}")
+        others = {"qos_profile": settings, "callback_group": self._group, **endpoint.details()}
+        make = partial(create, native_type, full, **others)
         with self._lock:
             self._usable()
             try:
@@ -255,8 +256,7 @@ class RclpyBackend(BaseNode):
         super().forget(endpoint)
         self._since.pop(endpoint, None)
         node, entity = self._node, endpoint.entity
-        kind = "service" if endpoint.kind == "server" else endpoint.kind
-        destroy = partial(self._destroy, getattr(node, f"destroy_{kind}"))
+        destroy = partial(self._destroy, getattr(node, f"destroy_{endpoint.native}"))
         # On the executor's thread, which would else meet a half-destroyed entity in its wait set.
         try:
             node.executor.create_task(partial(destroy, entity))
@@ -282,11 +282,14 @@ class RclpyBackend(BaseNode):
         except (InvalidHandle, RuntimeError):  # the node is being destroyed
             return []
 
-    def _peers(self, topic: str, direction: Literal["in", "out"]) -> list[EndpointInfo]:
-        return ends.read_peers(self._ends(topic, direction), topic, direction)
+    def _peers(
+        self, name: str, direction: Literal["in", "out"], *, service: bool = False
+    ) -> list[EndpointInfo]:
+        """Return the ends of a topic, or of a service: who reads (``in``) or writes its requests."""
+        found = self._users(name, direction) if service else self._ends(name, direction)
+        return ends.read_peers(found, name, direction)
 
     def _users(self, service: str, direction: Literal["in", "out"]) -> list[Any]:
-        """Return who serves (``in``) or calls (``out``) a service: who reads or writes its requests."""
         return self._ends(f"rq{service}Request", direction, True)
 
     def servers(self, service: str) -> frozenset[bytes]:
@@ -300,11 +303,7 @@ class RclpyBackend(BaseNode):
 
     def _compared(self, endpoint: RclpyEndpoint) -> tuple[list[EndpointInfo], list[Problem]]:
         theirs: Literal["in", "out"] = "out" if endpoint.direction == "in" else "in"
-        if endpoint.serves:
-            found = ends.read_peers(self._users(endpoint.topic, theirs), endpoint.topic, theirs)
-            peers = [replace(peer, type_name=ends.service_type(peer.type_name)) for peer in found]
-        else:
-            peers = self._peers(endpoint.topic, theirs)
+        peers = self._peers(endpoint.topic, theirs, service=endpoint.serves)
         return peers, [*filter(None, (_base.explain(peer, endpoint, _name(peer)) for peer in peers))]
 
     def _judge(self, endpoint: RclpyEndpoint) -> tuple[bool, list[Problem]]:
@@ -313,13 +312,15 @@ class RclpyBackend(BaseNode):
         peers, problems = self._compared(endpoint)
         if isinstance(endpoint, ends.RclpySubscription | ends.RclpyPublisher):
             return bool(peers), problems or self._unexplained(endpoint, peers)
-        found = ends.read_peers(self._users(endpoint.topic, "in"), endpoint.topic, "in")
-        servers = [_name(peer) or f"node {peer.node}" for peer in found]
-        if isinstance(endpoint, ends.RclpyServer) and f"node {self.node}" in servers:
-            servers.remove(f"node {self.node}")
-        problems += filter(None, [_base.several(endpoint, servers)])
         # Clients come and go: none is no doubt about a server.
         return isinstance(endpoint, ends.RclpyServer) or endpoint.ready, problems
+
+    def _other_servers(self, endpoint: RclpyEndpoint) -> list[str]:
+        found = self._peers(endpoint.topic, "in", service=True)
+        servers = [_name(peer) or f"node {peer.node}" for peer in found]
+        if endpoint.direction == "in" and f"node {self.node}" in servers:
+            servers.remove(f"node {self.node}")
+        return servers
 
     def _unexplained(self, endpoint: RclpyEndpoint, peers: list[EndpointInfo]) -> list[Problem]:
         """Judge by count: rclpy does not tell which peers are matched."""
@@ -356,11 +357,11 @@ class RclpyBackend(BaseNode):
                 if peer.node != self.node
             ]
             calls = [
-                replace(peer, type_name=ends.service_type(peer.type_name))
+                peer
                 for topic, _ in self._node.get_topic_names_and_types(True)
                 if topic.startswith("rq/") and topic.endswith("Request")
                 for direction in ("in", "out")
-                for peer in ends.read_peers(self._users(topic[2:-7], direction), topic[2:-7], direction)
+                for peer in self._peers(topic[2:-7], direction, service=True)
                 if peer.node != self.node
             ]
         except RuntimeError as error:  # InvalidHandle too: closed at this moment

@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import operator
-import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -35,7 +34,7 @@ from rosplc.ros._base import (
     is_service,
 )
 from rosplc.ros.backend import EndpointInfo, Qos, Reply
-from rosplc.ros.names import join
+from rosplc.ros.names import join, service_type_name
 
 _INFINITE_NS = 2**31 * 10**9  # DDS's infinite seconds; what middlewares make of it in rmw is longer
 # What rmw_dds_common reports for participants that are no ROS nodes.
@@ -78,7 +77,7 @@ def read_peers(infos: Iterable[Any], topic: str, direction: Literal["in", "out"]
     return [
         EndpointInfo(
             topic,
-            info.topic_type,
+            service_type_name(info.topic_type),
             direction,
             "" if info.node_name in _NAMELESS else join(info.node_namespace, info.node_name),
             settings(info.qos_profile),
@@ -122,6 +121,8 @@ _EVENTS = (
 class RclpyEndpointBase(BaseEndpoint):
     """What all endpoints have in common; the topic is the one before remapping by ROS arguments."""
 
+    native: str  # what rclpy calls its entity
+
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.entity: Any = None  # set by the backend; a message may come before
@@ -136,9 +137,9 @@ class RclpyEndpointBase(BaseEndpoint):
     def _count(self, entity: Any) -> int:
         raise NotImplementedError
 
-    def make(self, node: Any, *details: Any, **others: Any) -> Any:
-        """Create rclpy's entity; the details are type, name and settings."""
-        raise NotImplementedError
+    def details(self) -> dict[str, Any]:
+        """Return what rclpy's entity is created with, besides type, name and settings."""
+        return {}
 
     def _losses(self) -> int:
         return self.lost
@@ -152,31 +153,24 @@ class RclpyEndpointBase(BaseEndpoint):
 class RclpySubscription(BaseSubscription, RclpyEndpointBase):
     """A raw subscription; see :class:`rosplc.ros.backend.Subscription`."""
 
-    def make(self, node: Any, *details: Any, **others: Any) -> Any:
-        """Create rclpy's subscription."""
-        kind, name, settings = details
-        callback = self.receive if _GIVES_STAMPS else self.receive_plain
-        return node.create_subscription(kind, name, callback, settings, raw=True, **others)
+    native = "subscription"
+
+    def details(self) -> dict[str, Any]:
+        """Return the callback, with the parameters that this rclpy fills, and that messages stay bytes."""
+        callback = self.receive if _GIVES_STAMPS else lambda payload: self.receive(payload, None)
+        return {"callback": callback, "raw": True}
 
     def _count(self, entity: Any) -> int:
         count = getattr(entity, "get_publisher_count", None)
         # rclpy counts no matched publishers before ROS 2 Iron: those that fit are counted.
         return int(count()) if count is not None else int(self._node.fitting(self))
 
-    def receive(self, payload: bytes, info: dict[str, Any]) -> None:
-        """Deliver a message; the callback where rclpy gives its information too."""
-        self._receive(payload, info["source_timestamp"], stamped=True)
-
-    def receive_plain(self, payload: bytes) -> None:
-        """Deliver a message; the callback for rclpy versions that give no stamp with it."""
-        self._receive(payload, 0, stamped=False)
-
-    def _receive(self, payload: bytes, stamp_ns: int, *, stamped: bool) -> None:
-        """Deliver a message and those that wait behind it."""
+    def receive(self, payload: bytes, info: dict[str, Any] | None) -> None:
+        """Deliver a message and those that wait behind it; without ``info`` they have no stamps."""
         # The executor builds a wait set over all entities of the node for each message it takes. What else
         # has arrived is taken here at once, as the executor's own ``_take_subscription`` does.
         with self._lock:
-            self._deliver(payload, stamp_ns)
+            self._deliver(payload, info["source_timestamp"] if info else 0)
             for _ in range(_BATCH):
                 entity = self.entity
                 if self.closed or entity is None:
@@ -192,7 +186,7 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
                 if taken is None:
                     return
                 # All stamps of a topic are of one kind, though these messages would have theirs.
-                self._deliver(taken[0], taken[1]["source_timestamp"] if stamped else 0)
+                self._deliver(taken[0], taken[1]["source_timestamp"] if info else 0)
 
     def _deliver(self, payload: bytes, stamp_ns: int) -> None:
         if self.closed:
@@ -206,25 +200,17 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
 class RclpyPublisher(BasePublisher, RclpyEndpointBase):
     """A publisher of serialized messages; see :class:`rosplc.ros.backend.Publisher`."""
 
-    def make(self, node: Any, *details: Any, **others: Any) -> Any:
-        """Create rclpy's publisher."""
-        return node.create_publisher(*details, **others)
+    native = "publisher"
 
     def _count(self, entity: Any) -> int:
         return int(entity.get_subscription_count())
 
-    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message, stamped by rclpy with the present time; ROS002 if the middleware refuses it."""
-        data = self._checked(payload)  # the middleware would send anything
-        with self._lock:
-            if self.closed:
-                raise self._closed()
-            try:
-                self.entity.publish(data)
-            except RuntimeError as error:
-                raise self._failed_to_send(error) from error
-            self._messages += 1
-            self._last_ns = self._clock.time_ns()
+    def _emit(self, payload: bytes, stamp_ns: int) -> bool:
+        # rclpy stamps it with the present time. The middleware would send anything: hence the check before.
+        try:
+            self.entity.publish(payload)
+        except RuntimeError as error:
+            raise self._failed_to_send(error) from error
         return True
 
 
@@ -257,15 +243,6 @@ def _callbacks(endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Iterator
         yield kind(use_default_callbacks=False, **{name: handlers[name] for name in names if name in known})
 
 
-_MANGLED = re.compile(r"(\w+)::(srv|action)::dds_::(\w+)_(?:Request|Response)_\Z")
-
-
-def service_type(name: str) -> str:
-    """Return the service's name for the type of one of its two topics, as DDS has it; others as they are."""
-    found = _MANGLED.match(name)
-    return "/".join(found.groups()) if found else name
-
-
 class _Service(RclpyEndpointBase):
     serves = True
 
@@ -285,6 +262,8 @@ class RclpyServer(_Service, KeepingServer):
     ``send_response``, the request's header beside it, is kept until the answer comes.
     """
 
+    native = "service"
+
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._attached = threading.Event()
@@ -294,10 +273,9 @@ class RclpyServer(_Service, KeepingServer):
         self._respond, entity.send_response = entity.send_response, self._receive
         self._attached.set()
 
-    def make(self, node: Any, *details: Any, **others: Any) -> Any:
-        """Create rclpy's server."""
-        kind, name, settings = details
-        return node.create_service(kind, name, self.hold, qos_profile=settings, **others)
+    def details(self) -> dict[str, Any]:
+        """Return the callback."""
+        return {"callback": self.hold}
 
     def hold(self, request: Any, _response: Any) -> Any:
         """Return the request in place of a response: the callback of rclpy's server."""
@@ -322,15 +300,12 @@ class RclpyServer(_Service, KeepingServer):
 class RclpyClient(_Service, BaseClient):
     """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
 
+    native = "client"
+
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._futures: dict[int, Any] = {}
         self._sending = threading.Lock()
-
-    def make(self, node: Any, *details: Any, **others: Any) -> Any:
-        """Create rclpy's client."""
-        kind, name, settings = details
-        return node.create_client(kind, name, qos_profile=settings, **others)
 
     def attach(self, entity: Any) -> None:
         """Take over rclpy's client."""

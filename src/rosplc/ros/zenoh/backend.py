@@ -16,7 +16,7 @@ import zenoh
 
 from rosplc.clock import Clock
 from rosplc.errors import BackendError
-from rosplc.ros._base import BaseNode, Context, Problem, domain_number, opener, several
+from rosplc.ros._base import BaseNode, Context, Problem, domain_number, opener
 from rosplc.ros.backend import GraphInfo, Qos
 from rosplc.ros.zenoh.endpoint import Endpoint, ZenohPublisher, ZenohSubscription
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH, OTHER, SPACE, Entity, Kind, TokenTable, explain
@@ -381,14 +381,14 @@ class ZenohBackend(BaseNode):
     def _problems(self, ours: Entity) -> list[Problem]:
         return sorted(filter(None, (explain(ours, theirs) for theirs in self.others(ours))), reverse=True)
 
-    def _judge(self, endpoint: Endpoint) -> tuple[bool, list[Problem]]:
+    def _judge(self, endpoint: Endpoint) -> tuple[bool, list[Problem | None]]:
         trouble = self._link.trouble
-        problems = [*self._problems(endpoint.entity), *([("ROS016", trouble)] if trouble else ())]
-        if endpoint.serves:
-            servers = self.tokens.on(endpoint.topic, "SS")
-            others = [f"node {one.full_name}" for one in servers if one.token != endpoint.entity.token]
-            problems += filter(None, [several(endpoint, others)])
+        problems = [*self._problems(endpoint.entity), ("ROS016", trouble) if trouble else None]
         return bool(self.others(endpoint.entity)), problems
+
+    def _other_servers(self, endpoint: Endpoint) -> list[str]:
+        servers = self.tokens.on(endpoint.topic, "SS")
+        return [f"node {one.full_name}" for one in servers if one.token != endpoint.entity.token]
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""

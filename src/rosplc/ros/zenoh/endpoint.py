@@ -199,29 +199,16 @@ class ZenohPublisher(BasePublisher, Sender):
         with self._lock:  # the route: an "advanced" publisher does not know whether there is a subscriber
             self._zenoh, self._route, self._gid = publisher, route, gid_of(self.entity.token)
             while self._early:
-                self._put(*self._early.popleft())
+                self._dropped += not self._emit(*self._early.popleft())
         return [publisher] if publisher is route else [publisher, route]
 
-    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
-        data = self._checked(payload)
-        now = self._clock.time_ns()
-        message = (data, now if stamp_ns is None else stamp_ns)
-        with self._lock:
-            if self.closed:
-                raise self._closed()
-            if self._zenoh is None:
-                self._early.append(message)
-            else:
-                try:
-                    self._put(*message)
-                except zenoh.ZError:
-                    self._dropped += 1
-                    return False
-            self._messages += 1
-            self._last_ns = now
+    def _emit(self, payload: bytes, stamp_ns: int) -> bool:
+        if self._zenoh is None:
+            self._early.append((payload, stamp_ns))
             return True
-
-    def _put(self, payload: bytes, stamp_ns: int) -> None:
         self._sequence += 1
-        self._zenoh.put(payload, attachment=pack(self._sequence, stamp_ns, self._gid))
+        try:
+            self._zenoh.put(payload, attachment=pack(self._sequence, stamp_ns, self._gid))
+        except zenoh.ZError:
+            return False
+        return True
