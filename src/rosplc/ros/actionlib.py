@@ -16,6 +16,7 @@ import os
 import re
 import struct
 from collections import OrderedDict
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -24,13 +25,14 @@ from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import actions, fields
 from rosplc.ros._base import NO_SERVER
-from rosplc.ros.actions import ActionClient, ActionServer, Goal, GoalStatus
+from rosplc.ros.actions import ActionClient, ActionServer, Goal, GoalInfo, GoalStatus
 from rosplc.ros.backend import Backend, Publisher, Qos, Reply
 
 LONGEST_ID = 1024  # bytes of a goal's text
 _PATIENCE_NS = 10_000_000_000  # for a goal that the server does not list, or a result that does not come
 _QOS = Qos(depth=100)
 _UNLISTED = Reply(reason=Reason.SERVER_GONE, text="the server does not list the goal")
+_LIST, _ID = "actionlib_msgs/msg/GoalStatusArray", "actionlib_msgs/msg/GoalID"
 _HEX = re.compile(rb"[0-9a-f]{32}\Z")
 
 # actionlib_msgs/GoalStatus
@@ -73,44 +75,21 @@ def _header(now_ns: int) -> bytes:
 def _topic(action: str, type_name: str, name: str, kind: str) -> tuple[str, str]:
     """Return name and type of a topic; an action's own types have its name before them."""
     own = type_name.replace("/action/", "/msg/")
-    return f"{action}/{name}", f"actionlib_msgs/msg/{kind}" if kind.startswith("Goal") else own + kind
+    return f"{action}/{name}", kind if "/" in kind else own + kind
 
 
-class _Message:
-    """Reads a message, behind its header; ROS008 if it is too short."""
+def _read_id(goal_id: Mapping[str, Any]) -> GoalInfo:
+    """Return a goal's text, and its stamp; ROS008 if the text is too long."""
+    text, stamp = goal_id["id"].encode(errors="surrogateescape"), goal_id["stamp"]
+    if len(text) > LONGEST_ID:
+        raise BackendError("ROS008", f"a goal's id has {len(text)} bytes, {LONGEST_ID} are the most")
+    return text, stamp["sec"] % 2**32 * 10**9 + stamp["nanosec"]
 
-    def __init__(self, payload: bytes, *, header: bool = True) -> None:
-        self._payload, self._at = payload, 0
-        if header:
-            self.take(12)  # number, seconds, nanoseconds
-            self.text()
 
-    def take(self, size: int) -> bytes:
-        self._at += size
-        if self._at > len(self._payload):
-            raise BackendError("ROS008", "a message of an action cannot be read: it is too short")
-        return self._payload[self._at - size : self._at]
-
-    def number(self) -> int:
-        return int.from_bytes(self.take(4), "little")
-
-    def text(self) -> bytes:
-        return self.take(self.number())
-
-    def goal_id(self) -> tuple[bytes, int]:
-        stamp_ns = self.number() * 10**9 + self.number()
-        text = self.text()
-        if len(text) > LONGEST_ID:
-            raise BackendError("ROS008", f"a goal's id has {len(text)} bytes, {LONGEST_ID} are the most")
-        return text, stamp_ns
-
-    def status(self) -> tuple[bytes, int, str]:
-        """Return a goal's UUID, its status, and what the server says of it."""
-        text, _ = self.goal_id()
-        return uuid_of(text), self.take(1)[0], self.text()[:LONGEST_ID].decode(errors="replace")
-
-    def rest(self) -> bytes:
-        return self._payload[self._at :]
+def _read_status(status: Mapping[str, Any]) -> tuple[bytes, int, str]:
+    """Return a goal's UUID, its status, and what the server says of it."""
+    words = status["text"][:LONGEST_ID].encode(errors="surrogateescape").decode(errors="replace")
+    return uuid_of(_read_id(status["goal_id"])[0]), status["status"], words
 
 
 class ActionlibServer(ActionServer):
@@ -122,21 +101,23 @@ class ActionlibServer(ActionServer):
     """
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
+        self._store = store
         self._default = fields.pack(store, f"{self.type_name}_Result", {})
         self._canceled_ns = 0  # goals up to this stamp are canceled
         # Goals that were not accepted, or canceled before they came: number and message of the status, since.
         self._over: OrderedDict[bytes, tuple[int, bytes, int]] = OrderedDict()
         keep, topic, latched = self._keep, partial(_topic, self.action, self.type_name), actions.STATUS_QOS
         self._feedback: Publisher = keep(backend.advertise(*topic("feedback", "ActionFeedback"), _QOS))
-        self._statuses: Publisher = keep(backend.advertise(*topic("status", "GoalStatusArray"), latched))
+        self._statuses: Publisher = keep(backend.advertise(*topic("status", _LIST), latched))
         self._result: Publisher = keep(backend.advertise(*topic("result", "ActionResult"), latched))
-        keep(backend.subscribe(*topic("cancel", "GoalID"), _QOS, self._on_cancels))
+        keep(backend.subscribe(*topic("cancel", _ID), _QOS, self._on_cancels))
         keep(backend.subscribe(*topic("goal", "ActionGoal"), _QOS, self._on_send))
 
     def _on_send(self, payload: bytes, *_others: Any) -> None:
         try:
-            message = _Message(payload)
-            text, stamp_ns = message.goal_id()
+            _, type_name = _topic(self.action, self.type_name, "goal", "ActionGoal")
+            head, body = fields.unpack_first(self._store, type_name, payload, 2)
+            text, stamp_ns = _read_id(head["goal_id"])
         except BackendError:
             self.refused[Reason.REJECTED] += 1
             raise
@@ -156,10 +137,10 @@ class ActionlibServer(ActionServer):
                 self.reject(uuid)
                 return
             self._publish()
-        self._on_goal(uuid, message.rest())
+        self._on_goal(uuid, body)
 
     def _on_cancels(self, payload: bytes, *_others: Any) -> None:
-        text, stamp_ns = _Message(payload, header=False).goal_id()
+        text, stamp_ns = _read_id(fields.unpack(self._store, _ID, payload))
         uuid, asked = uuid_of(text), []
         with self._lock:
             self._canceled_ns = max(self._canceled_ns, min(stamp_ns, self._clock.time_ns()))
@@ -247,13 +228,12 @@ class ActionlibClient(ActionClient):
     """
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
+        self._store = store
         keep, topic = self._keep, partial(_topic, self.action, self.type_name)
-        keep(
-            backend.subscribe(*topic("feedback", "ActionFeedback"), _QOS, partial(self._on_news, "feedback"))
-        )
-        keep(backend.subscribe(*topic("status", "GoalStatusArray"), _QOS, self._on_statuses))
-        keep(backend.subscribe(*topic("result", "ActionResult"), _QOS, partial(self._on_news, "result")))
-        self._cancel: Publisher = keep(backend.advertise(*topic("cancel", "GoalID"), _QOS))
+        for kind, name in (("feedback", "ActionFeedback"), ("result", "ActionResult")):
+            keep(backend.subscribe(*topic(kind, name), _QOS, partial(self._on_news, kind)))
+        keep(backend.subscribe(*topic("status", _LIST), _QOS, self._on_statuses))
+        self._cancel: Publisher = keep(backend.advertise(*topic("cancel", _ID), _QOS))
         self._goal: Publisher = keep(backend.advertise(*topic("goal", "ActionGoal"), _QOS))
 
     @property
@@ -299,8 +279,8 @@ class ActionlibClient(ActionClient):
             self._on_status(uuid, _STATUSES.get(number, GoalStatus.UNKNOWN))
 
     def _on_statuses(self, payload: bytes, _stamp_ns: int) -> None:
-        message = _Message(payload)
-        listed = {status[0]: status for status in (message.status() for _ in range(message.number()))}
+        found = fields.unpack(self._store, _LIST, payload)["status_list"]
+        listed = {status[0]: status for status in map(_read_status, found)}
         for uuid in listed.keys() & self._goals.keys():
             self._learn(*listed[uuid])
         now = self._clock.monotonic_ns()
@@ -314,8 +294,10 @@ class ActionlibClient(ActionClient):
                 self._tell(uuid, "failed", reply=_UNLISTED, last=True)
 
     def _on_news(self, kind: str, payload: bytes, _stamp_ns: int) -> None:
-        message, last = _Message(payload), kind == "result"
-        uuid, number, words = message.status()
+        last = kind == "result"
+        _, type_name = _topic(self.action, self.type_name, kind, f"Action{kind.title()}")
+        head, body = fields.unpack_first(self._store, type_name, payload, 2)
+        uuid, number, words = _read_status(head["status"])
         self._learn(uuid, number, words)
         status = _STATUSES.get(number, GoalStatus.UNKNOWN) if last else GoalStatus.UNKNOWN
-        self._tell(uuid, kind, payload=message.rest(), status=status, last=last)
+        self._tell(uuid, kind, payload=body, status=status, last=last)

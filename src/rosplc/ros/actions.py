@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import enum
-import struct
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -36,10 +35,6 @@ GoalInfo = tuple[bytes, int]  # UUID, and the time of acceptance in ns since 197
 KnownGoal = tuple[bytes, int, int]  # the same, and the goal's status
 
 
-def _short(payload: bytes) -> BackendError:
-    return BackendError("ROS008", f"a message of an action cannot be read: it has {len(payload)} bytes")
-
-
 def _info(uuid: bytes, stamp_ns: int) -> dict[str, Any]:
     return {"goal_id": {"uuid": uuid}, "stamp": fields.time(stamp_ns)}
 
@@ -56,20 +51,8 @@ def wrap(uuid: bytes, payload: bytes) -> bytes:
 def unwrap(payload: bytes) -> tuple[bytes, bytes]:
     """Return UUID, and goal or feedback; of a request for a result, an empty message. ROS008 if too short."""
     if len(payload) < 20:
-        raise _short(payload)
+        raise BackendError("ROS008", f"a message of an action cannot be read: it has {len(payload)} bytes")
     return payload[4:20], payload[:4] + payload[20:]
-
-
-def pack_accepted(accepted: bool, stamp_ns: int) -> bytes:
-    """Return the response to a goal."""
-    return LITTLE + struct.pack("<?3xiI", accepted, *divmod(stamp_ns, 10**9))
-
-
-def read_accepted(payload: bytes) -> bool:
-    """Return whether a goal was accepted; ROS008 if the bytes do not fit."""
-    if len(payload) < 16:
-        raise _short(payload)
-    return payload[4] != 0
 
 
 class Messages:
@@ -77,6 +60,16 @@ class Messages:
 
     def __init__(self, store: TypeStore, action: str) -> None:
         self._store, self._result, self._response = store, f"{action}_Result", f"{action}_GetResult_Response"
+        self._decision = f"{action}_SendGoal_Response"
+
+    def pack_accepted(self, accepted: bool, stamp_ns: int) -> bytes:
+        """Return the response to a goal."""
+        values = {"accepted": accepted, "stamp": fields.time(stamp_ns)}
+        return fields.pack(self._store, self._decision, values)
+
+    def read_accepted(self, payload: bytes) -> bool:
+        """Return whether a goal was accepted."""
+        return bool(fields.unpack(self._store, self._decision, payload)["accepted"])
 
     def pack_cancel(self, uuid: bytes, stamp_ns: int = 0) -> bytes:
         """Return the request to cancel goals."""
@@ -219,7 +212,7 @@ class _Action:
         self._endpoints.append(endpoint)
         return endpoint
 
-    def _place(self, name: str, kind: str = "") -> tuple[str, str]:
+    def _place(self, name: str, kind: str) -> tuple[str, str]:
         """Return name and type of a topic or service; the type is given in full, or by its part."""
         return f"{self.action}/_action/{name}", kind if "/" in kind else f"{self.type_name}_{kind}"
 
@@ -310,7 +303,7 @@ class ActionServer(_Action):
                 self._goals[uuid] = Goal(caller)
             else:  # as rclpy and rclcpp answer a goal that they have
                 self.refused[Reason.QUEUE_FULL] += uuid not in self._goals
-                self._answer(self._send, caller, pack_accepted(False, 0))
+                self._answer(self._send, caller, self._messages.pack_accepted(False, 0))
         if new:
             self._on_goal(uuid, goal)
 
@@ -391,7 +384,7 @@ class ActionServer(_Action):
     def _decided(self, uuid: bytes, goal: Goal, accepted: bool) -> None:
         """Tell the client of a goal whether it is accepted."""
         goal.stamp_ns = self._clock.time_ns() if accepted else 0
-        self._answer(self._send, goal.caller, pack_accepted(accepted, goal.stamp_ns))
+        self._answer(self._send, goal.caller, self._messages.pack_accepted(accepted, goal.stamp_ns))
 
     def _ended(self, uuid: bytes, goal: Goal, status: GoalStatus, result: bytes | None) -> None:
         """Give the result to those who wait for it; ROS008 if the bytes are none."""
@@ -631,7 +624,7 @@ class ActionClient(_Action):
         return True
 
     def _dispatch(self, uuid: bytes, goal: bytes) -> None:
-        self._call(_SEND, uuid, wrap(uuid, goal), self._on_decision)
+        self._call(_SEND, uuid, wrap(uuid, goal), self._messages.read_accepted, self._on_decision)
 
     def adopt(self, uuid: bytes) -> None:
         """Ask for status and result of a goal that was sent before, by this process or another one."""
@@ -643,11 +636,12 @@ class ActionClient(_Action):
         self._seek(uuid)
 
     def _seek(self, uuid: bytes) -> None:
-        self._call(_GET, uuid, LITTLE + uuid, self._on_result)
+        self._call(_GET, uuid, LITTLE + uuid, self._messages.read_result, self._on_result)
 
     def cancel(self, uuid: bytes) -> None:
         """Ask for a goal to be canceled; raises as ServiceClient.call."""
-        self._call(_CANCEL, uuid, self._messages.pack_cancel(uuid), self._on_canceling)
+        request, read = self._messages.pack_cancel(uuid), self._messages.read_canceling
+        self._call(_CANCEL, uuid, request, read, self._on_canceling)
 
     def forget(self, uuid: bytes) -> None:
         """Hear nothing more of a goal; the server is not told."""
@@ -658,12 +652,28 @@ class ActionClient(_Action):
                 self._services[service].forget(number)
 
     def _call(
-        self, service: int, uuid: bytes, payload: bytes, on_reply: Callable[[bytes, side.Reply], None]
+        self,
+        service: int,
+        uuid: bytes,
+        payload: bytes,
+        read: Callable[[bytes], Any],
+        take: Callable[[bytes, Any, side.Reply], None],
     ) -> None:
+        """Call a service about a goal; ``take`` gets what ``read`` makes of a response, None without one."""
+
+        def ended(reply: side.Reply) -> None:
+            found = None
+            try:
+                if reply.payload is not None:
+                    found = read(reply.payload)
+            except BackendError as error:
+                reply = side.Reply(text=str(error))
+            take(uuid, found, reply)
+
         with self._lock:
             if uuid not in self._goals:
                 return
-        number = self._services[service].call(payload, lambda reply: on_reply(uuid, reply))
+        number = self._services[service].call(payload, ended)
         with self._lock:
             sent = self._goals.get(uuid)
             if sent is not None:
@@ -673,11 +683,7 @@ class ActionClient(_Action):
 
     # -- what comes
 
-    def _on_decision(self, uuid: bytes, reply: side.Reply) -> None:
-        try:
-            accepted = None if reply.payload is None else read_accepted(reply.payload)
-        except BackendError as error:
-            accepted, reply = None, side.Reply(text=str(error))
+    def _on_decision(self, uuid: bytes, accepted: bool | None, reply: side.Reply) -> None:
         if accepted:
             self._tell(uuid, "accepted")
             with contextlib.suppress(BackendError):  # closed meanwhile
@@ -687,22 +693,14 @@ class ActionClient(_Action):
         else:
             self._tell(uuid, "rejected", last=True)
 
-    def _on_result(self, uuid: bytes, reply: side.Reply) -> None:
-        try:
-            if reply.payload is not None:
-                status, result = self._messages.read_result(reply.payload)
-                self._tell(uuid, "result", payload=result, status=_status(status), last=True)
-                return
-        except BackendError as error:
-            reply = side.Reply(text=str(error))
-        self._tell(uuid, "lost", reply=reply)
+    def _on_result(self, uuid: bytes, found: tuple[int, bytes] | None, reply: side.Reply) -> None:
+        if found is None:
+            self._tell(uuid, "lost", reply=reply)
+        else:
+            self._tell(uuid, "result", payload=found[1], status=_status(found[0]), last=True)
 
-    def _on_canceling(self, uuid: bytes, reply: side.Reply) -> None:
-        try:
-            goals = [] if reply.payload is None else self._messages.read_canceling(reply.payload)[1]
-        except BackendError as error:
-            goals, reply = [], side.Reply(text=str(error))
-        agreed = any(one == uuid for one, _ in goals)
+    def _on_canceling(self, uuid: bytes, found: tuple[int, list[GoalInfo]] | None, reply: side.Reply) -> None:
+        agreed = found is not None and any(one == uuid for one, _ in found[1])
         self._tell(uuid, "canceling" if agreed else "not canceled", reply=reply)
 
     def _on_feedback(self, payload: bytes, _stamp_ns: int) -> None:

@@ -1,4 +1,7 @@
-"""A message's bytes as values and back, for messages that the node itself reads and writes."""
+"""A message's bytes as values and back, for messages that the node itself reads and writes.
+
+They are CDR, those of ROS 1's types as ROS 1 serializes them.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,23 @@ from rosplc.model.types import FORMATS, PRIMITIVES
 
 
 def unpack(store: TypeStore, type_name: str, payload: bytes) -> dict[str, Any]:
-    """Return a message's fields from its CDR, inner messages as mappings; ROS008 if they do not fit."""
+    """Return a message's fields, inner messages as mappings; ROS008 if the bytes do not fit."""
+    return unpack_first(store, type_name, payload, None)[0]
+
+
+def unpack_first(
+    store: TypeStore, type_name: str, payload: bytes, count: int | None
+) -> tuple[dict[str, Any], bytes]:
+    """Return so many fields of a message as :func:`unpack`, and the bytes behind them."""
     try:
-        return _Reader(store, payload).message(type_name)
+        reader = _Reader(store, payload)
+        return reader.message(type_name, count), reader.rest()
     except (struct.error, IndexError) as error:
         raise BackendError("ROS008", f"a {type_name} cannot be read: {error}") from error
 
 
 def pack(store: TypeStore, type_name: str, values: Mapping[str, Any]) -> bytes:
-    """Return a message as CDR, of ROS 1's types as ROS 1; a field that is not given is zero or empty."""
+    """Return a message; a field that is not given is zero or empty."""
     writer = _Writer(store)
     writer.message(type_name, values)
     return bytes(writer.out) if writer.ros1 else b"\0\1\0\0" + bytes(writer.out)
@@ -42,14 +53,19 @@ def time(ns: int) -> dict[str, int]:
 
 class _Reader:
     def __init__(self, store: TypeStore, payload: bytes) -> None:
-        self._store, self._body, self._at = store, memoryview(payload)[4:], 0
-        self._order = "<" if payload[1] & 1 else ">"
+        self._store, self._at = store, 0
+        self._ros1 = store.ros_version == 1
+        self._body = memoryview(payload)[0 if self._ros1 else 4 :]
+        self._order = "<" if self._ros1 or payload[1] & 1 else ">"
 
-    def message(self, name: str) -> dict[str, Any]:
+    def message(self, name: str, count: int | None = None) -> dict[str, Any]:
         fields = self._store[name].fields
-        if not fields:
+        if not fields and not self._ros1:
             self._numbers("uint8", 1)  # CDR has no empty structures
-        return {field.name: self._value(field.type) for field in fields}
+        return {field.name: self._value(field.type) for field in fields[:count]}
+
+    def rest(self) -> bytes:
+        return bytes(self._body[self._at :])
 
     def _value(self, kind: FieldType) -> Any:
         if isinstance(kind, SequenceType | ArrayType):
@@ -63,11 +79,12 @@ class _Reader:
         if isinstance(kind, NamedType):
             return [self.message(kind.name) for _ in range(count)]
         texts = (self._numbers("uint8", *self._numbers("uint32", 1)) for _ in range(count))
-        return [text.removesuffix(b"\0").decode(errors="surrogateescape") for text in texts]
+        end = b"" if self._ros1 else b"\0"
+        return [text.removesuffix(end).decode(errors="surrogateescape") for text in texts]
 
     def _numbers(self, name: str, count: int) -> Any:
         width, letter = PRIMITIVES[name], FORMATS[name]
-        self._at += -self._at % width if count else 0
+        self._at += -self._at % width if count and not self._ros1 else 0
         layout = f"{count}s" if letter == "B" else f"{self._order}{count}{letter}"
         found = struct.unpack_from(layout, self._body, self._at)
         self._at += count * width

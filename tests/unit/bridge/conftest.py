@@ -20,7 +20,7 @@ from rosplc.shm import Attached, Namespace, Reader, Writer, attach
 
 DOMAIN = 41
 STORE = TypeStore.bundled("jazzy")
-MESSAGES = actions.Messages(STORE, "")  # of any action, without its results
+MESSAGES = actions.Messages(STORE, "example_interfaces/action/Fibonacci")
 WATCHDOG_S = 100.0
 STRING = "std_msgs/msg/String"
 INT = "std_msgs/msg/Int32"

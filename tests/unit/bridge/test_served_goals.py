@@ -108,7 +108,7 @@ class Ros:
 
     @property
     def decisions(self) -> list[tuple[bytes, bool]]:
-        return [(who, actions.read_accepted(data)) for who, data in self.ends["send_goal"].said]
+        return [(who, MESSAGES.read_accepted(data)) for who, data in self.ends["send_goal"].said]
 
     @property
     def cancels(self) -> list[tuple[bytes, int]]:

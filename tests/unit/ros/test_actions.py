@@ -539,7 +539,7 @@ def test_messages_of_the_package() -> None:
     data = bytes(ORACLE.serialize_cdr(info(ONE, 5), "action_msgs/msg/GoalInfo"))
     assert MESSAGES.pack_cancel(ONE, 5) == data
     assert MESSAGES.read_cancel(data) == (ONE, 5)
-    assert wire.read_accepted(wire.pack_accepted(True, 7))
+    assert MESSAGES.read_accepted(MESSAGES.pack_accepted(True, 7))
     assert MESSAGES.read_canceling(MESSAGES.pack_canceling(1, [(ONE, 5), (TWO, 6)])) == (
         1,
         [(ONE, 5), (TWO, 6)],
@@ -552,7 +552,7 @@ def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
     """Nothing that a peer sends raises another error, or makes more of it than there is."""
     store, _ = TYPES
     messages = wire.Messages(store, "test/msg/All")
-    for read in (wire.unwrap, MESSAGES.read_cancel, MESSAGES.read_canceling, wire.read_accepted):
+    for read in (wire.unwrap, MESSAGES.read_cancel, MESSAGES.read_canceling, MESSAGES.read_accepted):
         with contextlib.suppress(BackendError):
             read(data)
     with contextlib.suppress(BackendError):

@@ -69,11 +69,15 @@ def test_a_message_is_read_and_written_as_elsewhere(little: bool) -> None:
 
 
 def test_ros1_has_no_padding() -> None:
-    """A store of ROS 1's types writes as ROS 1 does."""
-    name = "diagnostic_msgs/msg/DiagnosticStatus"
+    """A store of ROS 1's types writes and reads as ROS 1 does, a message's begin too."""
+    store, name = TypeStore.bundled("noetic"), "diagnostic_msgs/msg/DiagnosticStatus"
     values = {"level": 1, "name": "abc", "values": [{"key": "k", "value": ""}]}
     expected = b"\1\3\0\0\0abc" + bytes(8) + b"\1\0\0\0" + b"\1\0\0\0k" + bytes(4)
-    assert fields.pack(TypeStore.bundled("noetic"), name, values) == expected
+    assert fields.pack(store, name, values) == expected
+    assert fields.unpack(store, name, expected) == {"message": "", "hardware_id": "", **values}
+    assert fields.unpack_first(store, name, expected, 2) == ({"level": 1, "name": "abc"}, expected[8:])
+    with pytest.raises(BackendError, match="ROS008"):
+        fields.unpack(store, name, expected[:-1])
 
 
 def test_what_is_not_given_is_zero_or_empty() -> None:
