@@ -128,8 +128,9 @@ class _Openplc:
         result = {path: text.encode("ascii") for path, text in made.items()}
         fixed = files("rosplc.plc").joinpath(f"templates/{self.plc}")
         header = "rosplc_matiec.h" if matiec else "rosplc_openplc.hpp"
-        for name, path in ((header, f"generated/{header}"), ("README.txt", "README.txt")):
-            result[path] = fixed.joinpath(name).read_bytes()
+        result[f"generated/{header}"] = fixed.joinpath(header).read_bytes()
+        for name in ("README.txt",) if matiec else ("README.txt", "build.mjs"):
+            result[name] = fixed.joinpath(name).read_bytes()
         for item in files("rosplc").joinpath("include/rosplc").iterdir():
             if item.name.endswith(".h"):
                 result[f"generated/rosplc/{item.name}"] = item.read_bytes()
