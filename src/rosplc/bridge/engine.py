@@ -126,7 +126,10 @@ class Bridge:
             stack.callback(self._close_backend)
         self._check_types(self.backend)
         duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
-        own = self._own = OwnTopics(self.project, self._ros, self.backend, self.status, self._clock, stack)
+        own = self._own = OwnTopics(
+            self.project, self._ros, self.backend, self.status, self._clock, stack, owned=self._owns_backend
+        )
+        self._warnings += own.warnings
         # Until here nothing in shared memory has been touched.
         self._leaving = tuple(leaving(self.project, context))
         for use in self._leaving:
@@ -140,12 +143,11 @@ class Bridge:
             self._open_port(stream)
         self._types.use(self.project.plans)
         stack.callback(self._disconnect)
-        self._warnings += own.serve(self._streams, owned=self._owns_backend)
         for stream in self._streams:
             self._connect(stream)
         stack.callback(carriers.stop)
         carriers.replace((), self._streams)
-        own.begin()
+        own.begin(self._streams)
         heartbeat = self._heartbeat = Rounds("rosplc-heartbeat", self._clock, *beats, *own.beats)
         heartbeat.start()
         stack.callback(heartbeat.stop)

@@ -33,6 +33,7 @@ class OwnTopics:
         beats: Duties of the heartbeat.
         duties: Duties of the reporter, whose work may hang in the ROS side.
         parameters: Those that are variables of the PLC, if there are any.
+        warnings: What people should know.
     """
 
     def __init__(
@@ -43,18 +44,14 @@ class OwnTopics:
         status: Callable[[], BridgeStatus],
         clock: Clock,
         stack: ExitStack,
+        *,
+        owned: bool,
     ) -> None:
-        settings = project.config.settings
+        settings, store = project.config.settings, project.store
         self.ends: dict[str, OwnEnd] = {}
         self.beats: list[Duty] = []
         self.duties: list[Duty] = []
-        self._project, self._ros, self._backend, self._clock, self._stack = (
-            project,
-            ros,
-            backend,
-            clock,
-            stack,
-        )
+        self.warnings: tuple[str, ...] = ()
         own_log = settings.rosout.bridge and "--disable-rosout-logs" not in ros.arguments.others
         if own_log or settings.rosout.plc:
             lines = rosout.Rosout(project, backend, clock)
@@ -65,42 +62,34 @@ class OwnTopics:
             if own_log:
                 logging.getLogger("rosplc").addHandler(lines)
         sim = Parameter("use_sim_time", "bool", settings.time.use_sim_time, take=lambda _: None)
-        sim = self._sim = replace(sim, value=ros.given([sim]).get(sim.name, sim.value))
+        sim = replace(sim, value=ros.given([sim]).get(sim.name, sim.value))
         if settings.time.plc:
             time = ros_time.RosTime(project, backend, clock, sim.value)
-            self._sim = replace(sim, take=time.use)
+            sim = replace(sim, take=time.use)
             stack.callback(time.leave)
             self.beats.append(Duty("telling the time", ros_time.PERIOD_NS, time.write))
             self.ends[ros_time.TOPIC] = time
+        declared = [sim, *shown_parameters(ros.shown())]
         self.parameters: PlcParameters | None = None
         if (asked := project.parameters) is not None:
-            own = self.parameters = PlcParameters(asked, project.store, ros.given(asked.declared), clock)
+            own = self.parameters = PlcParameters(asked, store, ros.given(asked.declared), clock)
             self.beats.append(Duty("checking parameters", _CHECK_NS, own.check))
             self.ends |= dict.fromkeys((WANTED, CURRENT), own)
+            if backend.name == "rclpy" and not owned:
+                self.warnings = (_NOT_SERVED,)
+                log.warning("%s", _NOT_SERVED)
+            else:
+                stack.callback(own.serve(backend, declared).close)
+        elif owned and store.ros_version == 2:
+            stack.callback(ParameterServer(backend, store, declared, clock=clock).close)
         if settings.diagnostics.enabled:
-            diagnostics = Diagnostics(project.store, backend, clock)
+            diagnostics = Diagnostics(store, backend, clock)
             stack.callback(diagnostics.close)
             period = settings.diagnostics.period_ns
             self.duties.append(Duty("reporting", period, lambda: diagnostics.publish(status()), period))
 
-    def serve(self, streams: Iterable[Carried], *, owned: bool) -> tuple[str, ...]:
-        """Serve the node's parameters unless it does; return what people should know of that.
-
-        The ports of all streams are there, which are not connected. ``owned``: the node is this bridge's.
-        """
-        backend, store = self._backend, self._project.store
-        declared = [self._sim, *shown_parameters(self._ros.shown())]
+    def begin(self, streams: Iterable[Carried]) -> None:
+        """The streams are carried: give the PLC its first values."""
         if self.parameters is not None:
-            if backend.name == "rclpy" and not owned:
-                log.warning("%s", _NOT_SERVED)
-                return (_NOT_SERVED,)
-            inner = [each for each in streams if isinstance(each, Stream) and each.plan.of_parameters]
-            self._stack.callback(self.parameters.serve(backend, declared, inner).close)
-        elif owned and store.ros_version == 2:
-            self._stack.callback(ParameterServer(backend, store, declared, clock=self._clock).close)
-        return ()
-
-    def begin(self) -> None:
-        """Give the PLC its first values; the streams are carried."""
-        if self.parameters is not None:
-            self.parameters.begin()
+            found = (each for each in streams if isinstance(each, Stream) and each.plan.of_parameters)
+            self.parameters.begin(tuple(found))

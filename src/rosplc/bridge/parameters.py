@@ -51,19 +51,19 @@ class PlcParameters(OwnEnd):
         self._number = 0  # of the last set that the PLC has taken; 0: none
         self._lock = threading.RLock()
         self._server: ParameterServer | None = None
-        self._streams: Sequence[Stream] = ()
+        self._streams: Sequence[Stream] = ()  # of both topics, once they are carried
 
-    def serve(self, backend: Backend, shown: list[Parameter], streams: Sequence[Stream]) -> ParameterServer:
-        """Serve these, and what the node shows; the streams are connected. Raises as ``serve`` does."""
+    def serve(self, backend: Backend, shown: list[Parameter]) -> ParameterServer:
+        """Serve these, and what the node shows. Raises as ``serve`` of the backend does."""
         with self._lock:
-            self._streams = streams
             declared = [*shown, *self.plan.declared]
             self._server = ParameterServer(backend, self.store, declared, self.apply, clock=self.clock)
             self._server.values.update(self.values)
             return self._server
 
-    def begin(self) -> None:
+    def begin(self, streams: Sequence[Stream]) -> None:
         """Give a new object the values of the file."""
+        self._streams = streams
         if self.plan.initial == "file" and not self._streams[0].port.adopted:
             self._restore()
 
@@ -75,7 +75,8 @@ class PlcParameters(OwnEnd):
 
     @property
     def _alive(self) -> bool:
-        return all(stream.port.status(self.clock.monotonic_ns()).peer_alive for stream in self._streams)
+        now = self.clock.monotonic_ns()
+        return bool(self._streams) and all(stream.port.status(now).peer_alive for stream in self._streams)
 
     def _next(self) -> None:
         """Give the PLC the set that is due, if it lives; the lock is held."""
