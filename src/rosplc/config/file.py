@@ -47,6 +47,13 @@ class Config:
         found = [learnt] if any(learnt.glob("*/msg/*.msg")) else []
         return (*(self.base / folder for folder in self.settings.types.paths), *found)
 
+    def task(self, asked: str | None, key: KeyPath, problems: Problems) -> str:
+        """Return a task's name, without one the first; note at a key path that there is none of this name."""
+        tasks = self.settings.tasks
+        if asked is not None and asked not in tasks:
+            problems.wrong(self.source, key, f"there is no task {asked!r}; tasks has: {', '.join(tasks)}")
+        return asked or next(iter(tasks))
+
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], *, base: Path | None = None) -> Config:
         """Return what a file with this content gives; ConfigErrors as :func:`read_config`, at key paths."""

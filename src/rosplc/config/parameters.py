@@ -80,10 +80,7 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
             declared.append(_parameter(name, entry, most, longest))
         except ValueError as error:
             problems.wrong(config.source, (*key, name), str(error))
-    task = asked.task or next(iter(settings.tasks))
-    if task not in settings.tasks:
-        what = f"there is no task {task!r}; tasks has: {', '.join(settings.tasks)}"
-        problems.wrong(config.source, ("parameters", "task"), what)
+    task = config.task(asked.task, ("parameters", "task"), problems)
     problems.check()
     lines = (f"{_FIELD_TYPES[each.kind]} {fields[each.name]}\n" for each in declared)
     text = f"uint64 number\nValues values\n{_SEPARATOR}\nMSG: rosplc_parameters/Values\n{''.join(lines)}"

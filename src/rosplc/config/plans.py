@@ -202,42 +202,32 @@ _BURST = 16  # slots where every message counts and their rate is unknown
 _MOST = 65536
 
 
-@dataclass(frozen=True)
-class Demand:
-    """What the slots have to stand."""
+def slot_numbers(
+    period_ns: int, visit_ns: int, record_size: int, every: bool, *, by_bridge: bool = False
+) -> tuple[int, int]:
+    """Return below how many slots messages are certain to be lost or copies refused, and the usual number.
 
-    period_ns: int  # shortest time between two messages; 0 if unknown
-    visit_ns: int  # time between two visits of the reader
-    record_size: int  # bytes of a record
-    every: bool  # every message counts
-    by_bridge: bool = False  # the reader is the bridge
+    ``period_ns`` is the shortest time between two messages (0: unknown), ``visit_ns`` that between two visits
+    of the reader, which with ``by_bridge`` is the bridge; with ``every`` each message counts.
+    """
 
+    def lasting(pause_ns: int) -> int:
+        if not period_ns:
+            return 4
+        copy_ns = record_size * _COPY_NS_PER_BYTE + _PREEMPTION_NS
+        needed = 2 - -copy_ns // period_ns
+        if every:
+            needed = max(needed, 1 - -(visit_ns + pause_ns) // period_ns)
+        return min(_MOST, max(4, 1 << (needed - 1).bit_length()))
 
-def least_slots(demand: Demand) -> int:
-    """Return the number below which messages are certain to be lost or copies to be refused."""
-    return _slots(demand, _PREEMPTION_NS)
-
-
-def usual_slots(demand: Demand) -> int:
-    """Return the number taken where the configuration gives none."""
-    if demand.every and not demand.period_ns:
-        return _BURST
-    usual = _slots(demand, _PAUSE_NS)
-    if not (demand.every and demand.by_bridge):
-        return usual
-    most = _MOST_BYTES // demand.record_size
-    power = 1 << (most.bit_length() - 1) if most else 0  # the largest that is not above
-    return max(usual, min(_slots(demand, _BRIDGE_PAUSE_NS), power))
-
-
-def _slots(demand: Demand, pause_ns: int) -> int:
-    if not demand.period_ns:
-        return 4
-    copy_ns = demand.record_size * _COPY_NS_PER_BYTE + _PREEMPTION_NS
-    needed = 2 - -copy_ns // demand.period_ns
-    if demand.every:
-        needed = max(needed, 1 - -(demand.visit_ns + pause_ns) // demand.period_ns)
-    return min(_MOST, max(4, 1 << (needed - 1).bit_length()))
+    least, usual = lasting(_PREEMPTION_NS), lasting(_PAUSE_NS)
+    if every and not period_ns:
+        usual = _BURST
+    elif every and by_bridge:
+        most = _MOST_BYTES // record_size
+        power = 1 << (most.bit_length() - 1) if most else 0  # the largest that is not above
+        usual = max(usual, min(lasting(_BRIDGE_PAUSE_NS), power))
+    return least, usual
 
 
 _Settings = ServiceSettings | ActionSettings
@@ -369,7 +359,7 @@ def call_plans(config: Config, plan: type[_C], store: TypeStore, problems: Probl
 def _contradictions(
     config: Config, plan: type[CallPlan], entry: _Settings, path: KeyPath, problems: Problems
 ) -> None:
-    tasks, other = config.settings.tasks, "ros" if entry.server == "plc" else "plc"
+    other = "ros" if entry.server == "plc" else "plc"
 
     def wrong(key: KeyPath, *what: str) -> None:
         problems.wrong(config.source, (*path, *key), *what)
@@ -377,11 +367,9 @@ def _contradictions(
     if any(part in _RESERVED for part in str(path[1]).split("/")):
         what = f"names with {' or '.join(_RESERVED)} are ROS' own"
         wrong((), what, "Choose another name.")
-    uses: dict[KeyPath, str | None] = {("task",): entry.task}
-    uses |= {("clients", client, "task"): use.task for client, use in entry.clients.items()}
-    for key, task in uses.items():
-        if task is not None and task not in tasks:
-            wrong(key, f"there is no task {task!r}; tasks has: {', '.join(tasks)}")
+    config.task(entry.task, (*path, "task"), problems)
+    for client, use in entry.clients.items():
+        config.task(use.task, (*path, "clients", client, "task"), problems)
     if entry.server == "plc" and entry.clients:
         what = "what the PLC carries out has its clients in ROS"
         wrong(("clients",), what, "Remove it, or write `server: ros`.")

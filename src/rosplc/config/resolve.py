@@ -17,17 +17,15 @@ from rosplc.config.plans import (
     ActionPlan,
     CallPlan,
     ClassicPlan,
-    Demand,
     ServicePlan,
     StalePlan,
     call_plans,
     classic_name,
     classic_plan,
-    least_slots,
     note_layout_error,
     passes_changes_only,
+    slot_numbers,
     stale_plan,
-    usual_slots,
 )
 from rosplc.config.quantities import format_duration
 from rosplc.config.settings import TIME_TEXT, TIME_TYPE, TaskSettings, TopicSettings, TransformSettings
@@ -177,13 +175,9 @@ def resolve(config: Config) -> Project:
             what = f"{topic} and {names[name]} both become {name}"
             problems.wrong(config.source, where, what, "", "CFG007")
         names[name] = topic
-        task = entry.task or next(iter(settings.tasks))
-        if task not in settings.tasks:
-            what = f"there is no task {task!r}; tasks has: {', '.join(settings.tasks)}"
-            problems.wrong(config.source, (*where, "task"), what)
-            continue
+        task = config.task(entry.task, (*where, "task"), problems)
         layout = _layout(config, store, topic, entry, problems)
-        if layout is None:
+        if layout is None or task not in settings.tasks:
             continue
         try:
             plans.append(replace(_plan(config, topic, entry, task, layout), transform=transform))
@@ -327,17 +321,17 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
         # A PLC publishes a topic at most once per scan; how long a freewheeling scan takes, nobody knows.
         period = cycle if settings.tasks[task].kind == "cyclic" else 0
         fastest = max(entry.expected_rate_ns or 0, period)
-        demand = Demand(fastest, settings.tick_ns, record_size, every, by_bridge=True)
+        least, usual = slot_numbers(fastest, settings.tick_ns, record_size, every, by_bridge=True)
     else:
         # Where neither is given nothing is known, and the usual number stands.
-        demand = Demand(max(entry.expected_rate_ns or 0, entry.rate_limit_ns or 0), cycle, record_size, every)
+        fastest = max(entry.expected_rate_ns or 0, entry.rate_limit_ns or 0)
+        least, usual = slot_numbers(fastest, cycle, record_size, every)
     if entry.slots is None:
-        return usual_slots(demand)
-    least = least_slots(demand)
+        return usual
     slots = 1 << (entry.slots - 1).bit_length()
     if slots < least:
         what = (
-            f"{entry.slots} slots are too few for a message every {format_duration(demand.period_ns)} "
+            f"{entry.slots} slots are too few for a message every {format_duration(fastest)} "
             f"of {record_size} bytes; {least} are needed"
         )
         raise config.source.wrong(("topics", topic, "slots"), what, code="CFG008")

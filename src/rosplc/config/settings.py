@@ -521,24 +521,23 @@ class _CallSettings(_Section):
         "own: `[pick, place]`, or `{pick: {task: Fast}}`. Without it there is one, without a name.",
     )
     task: TaskName | None = _f(None, "The PLC task that handles it. Without it the first of `tasks`.")
-    limits: dict[str, StrictInt]
-    on_overflow: Literal["refuse", "truncate"]
+    limits: dict[str, StrictInt] = _f(
+        {},
+        "Capacities by field path (`request.name: 6`, `response.message: 200`; of an action `goal.name: 6`"
+        "); `string` and `sequence` replace the defaults.",
+    )
+    on_overflow: Literal["refuse", "truncate"] = _f(
+        "refuse",
+        "What happens to what comes from ROS and exceeds a limit: `truncate` cuts it. `refuse`: a request or "
+        "goal is refused; a response leaves the PLC's call `UNREADABLE`; a result is missing when the PLC's "
+        "goal ends; feedback is dropped.",
+    )
 
 
 class ServiceSettings(_CallSettings):
     """One service: `server: ros` is called by the PLC, `server: plc` is carried out by the PLC."""
 
     type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
-    limits: dict[str, StrictInt] = _f(
-        {},
-        "Capacities by field path (`request.name: 6`, `response.message: 200`); `string` and `sequence` "
-        "replace the defaults for this service.",
-    )
-    on_overflow: Literal["refuse", "truncate"] = _f(
-        "refuse",
-        "What happens to what comes from ROS and exceeds a limit. A request is refused or cut; a response "
-        "leaves the PLC's call `UNREADABLE`, or is cut.",
-    )
     depth: StrictInt = _f(
         16, "`server: plc`: calls that wait or are carried out at most; one more is refused.", ge=1, le=1000
     )
@@ -566,16 +565,6 @@ class ActionSettings(_CallSettings):
     """One action: `server: ros` is used by the PLC, `server: plc` is carried out by the PLC."""
 
     type: ActionTypeName = Field(description="The action type, `package/action/Name`.")
-    limits: dict[str, StrictInt] = _f(
-        {},
-        "Capacities by field path (`goal.name: 6`, `result.message: 200`, `feedback.sequence: 9`); `string` "
-        "and `sequence` replace the defaults for this action.",
-    )
-    on_overflow: Literal["refuse", "truncate"] = _f(
-        "refuse",
-        "What happens to what comes from ROS and exceeds a limit. A goal is rejected or cut; a result is "
-        "missing when the PLC's goal ends, or is cut; feedback is dropped or cut.",
-    )
     on_new_goal: Literal["reject", "abort", "buffer"] = _f(
         "reject",
         "`server: plc`: what becomes of a goal that comes while the PLC has one. `reject`: it is rejected. "

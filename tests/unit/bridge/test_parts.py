@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rosplc.bridge.port import QUIET_NS, RepeatedWarnings
 from rosplc.bridge.status import BridgeStatus, Level, TopicStatus, format_age
-from rosplc.config.plans import Demand, least_slots, usual_slots
+from rosplc.config.plans import slot_numbers
 from rosplc.config.quantities import format_duration, parse_duration, parse_mode, parse_rate
 from rosplc.shm import Direction
 
@@ -35,26 +35,25 @@ def test_repeated_warnings_are_held_back_and_counted(caplog: pytest.LogCaptureFi
 @pytest.mark.parametrize(
     ("demand", "least", "usual"),
     [
-        (Demand(0, 10 * MS, 100, False), 4, 4),
-        (Demand(0, 10 * MS, 100, True), 4, 16),
-        (Demand(10 * MS, MS, 100, True), 4, 4),
-        (Demand(MS, MS, 100, True), 4, 32),
-        (Demand(MS, 10 * MS, 100, False), 4, 4),
-        (Demand(MS, 10 * MS, 100, True), 16, 32),
-        (Demand(100_000, MS, 100, False), 16, 16),
-        (Demand(MS, MS, 4 << 20, False), 32, 32),
+        ((0, 10 * MS, 100, False), 4, 4),
+        ((0, 10 * MS, 100, True), 4, 16),
+        ((10 * MS, MS, 100, True), 4, 4),
+        ((MS, MS, 100, True), 4, 32),
+        ((MS, 10 * MS, 100, False), 4, 4),
+        ((MS, 10 * MS, 100, True), 16, 32),
+        ((100_000, MS, 100, False), 16, 16),
+        ((MS, MS, 4 << 20, False), 32, 32),
     ],
 )
-def test_slots(demand: Demand, least: int, usual: int) -> None:
+def test_slots(demand: tuple[int, int, int, bool], least: int, usual: int) -> None:
     """The slots outlast a copy plus a preemption, and where every message counts the reader's absence."""
-    assert (least_slots(demand), usual_slots(demand)) == (least, usual)
+    assert slot_numbers(*demand) == (least, usual)
 
 
 @given(st.integers(0, 10**9), st.integers(1, 10**9), st.integers(1, 2**30), st.booleans())
 def test_slots_are_valid_and_enough(period: int, visit: int, size: int, every: bool) -> None:
     """Any demand gives a power of two that the format allows, the usual number never the smaller one."""
-    demand = Demand(period, visit, size, every)
-    least, usual = least_slots(demand), usual_slots(demand)
+    least, usual = slot_numbers(period, visit, size, every)
     assert 4 <= least <= usual <= 65536
     assert least & (least - 1) == usual & (usual - 1) == 0
     if period and least < 65536:
