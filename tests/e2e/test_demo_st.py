@@ -220,7 +220,7 @@ def test_a_plc_without_fences_works_with_the_bridge(kill, tmp_path, dds_domain):
     plan = Plan(domain=dds_domain, rate=30.0, topics=3)
     _, built = generate(tmp_path, plan, ProjectOptions(fenced=False))
     try:
-        with Demo(plan, structured_text=tmp_path) as run:
+        with Demo(plan, plc="rosplc.demo.st.process", folder=tmp_path) as run:
             result = run.run(8.0, kill=kill)
     finally:
         built.path.unlink(missing_ok=True)

@@ -10,24 +10,23 @@ from __future__ import annotations
 import os
 import random
 import re
-import shutil
-import socket
-import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-import rosplc
 from rosplc.codec import Codec, Wire
 from rosplc.config.resolve import Project, load_project
+from rosplc.demo.openplc import Runtime, compile_prepared, prepare
 from rosplc.demo.plan import FreeDomain
 from rosplc.layout import compute_layout
 from rosplc.ros import SERVICES, Qos, open_backend
 from rosplc.ros.backend import Reply
 from rosplc.shm import Namespace
+from tests.docs.pages import blocks
 from tests.e2e.cell import Bridge
 from tests.lib.waiting import wait_for
 from tests.verification.crossing import random_record
@@ -40,7 +39,7 @@ pytestmark = [
     pytest.mark.timeout(600),
     pytest.mark.verifies("openplc", real="OpenPLC's runtime (where a built checkout is available)"),
 ]
-RUN = Path("/run/runtime")
+TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "openplc.md"
 QOS = Qos(reliability="reliable", durability="volatile", depth=200)
 # Two tasks; in the slower one the blocks and the message are retained.
 PROGRAM = """PROGRAM Fast
@@ -104,88 +103,40 @@ CONFIGURATION Config0
   END_RESOURCE
 END_CONFIGURATION
 """
-COMPILE = """
-import { readFileSync, writeFileSync } from "fs";
-const [library, source, folder] = process.argv.slice(1);
-const { compile } = await import(library);
-const made = compile(readFileSync(source, "utf8"), { headerFileName: "generated.hpp" });
-if (!made.success) { console.error(JSON.stringify(made.errors)); process.exit(1); }
-writeFileSync(folder + "/generated.hpp", made.headerCode);
-writeFileSync(folder + "/generated.cpp", made.cppCode);
-writeFileSync(folder + "/generated_debug.cpp", made.debugTableCpp);
-writeFileSync(folder + "/defines.h", '#define PROGRAM_MD5 "00000000000000000000000000000000"');
-"""
 
 
-class Runtime:
+class Plc:
     """OpenPLC's runtime with a program, in a folder of its own."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.log = folder / "runtime.log"
-        installed = Path(os.environ["ROSPLC_OPENPLC"])
-        self._main = installed / "build" / "plc_main"
-        for name in ("scripts", "core/src", "core/strucpp_runtime"):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).symlink_to(installed / name)
-        (folder / "plugins.conf").write_text("")
-        (folder / "build").mkdir()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._folder = folder
+        self._runtime: Runtime | None = None
 
     def load(self, project: Project, program: str, fault: Path | None = None) -> None:
         """Build a program; with ``fault`` a copy of a message breaks off half-way once that file is there."""
-        strucpp = Path(os.environ["ROSPLC_STRUCPP"])
-        plc, generated = self.folder / "plc", self.folder / "core" / "generated"
-        rosplc.generate(project, plc, plc="openplc")
-        shutil.copytree(plc / "generated", generated)
-        (generated / "strucpp_runtime").mkdir()
-        (generated / "strucpp_runtime" / "include").symlink_to(strucpp / "src/runtime/include")
-        (plc / "all.st").write_text((plc / "rosplc.st").read_text() + program)
-        library, source = str(strucpp / "dist/index.js"), str(plc / "all.st")
-        self._run("node", "--input-type=module", "-e", COMPILE, library, source, str(generated))
+        prepare(self._folder, project, program)
         if fault is not None:
-            blocks = generated / "rosplc_blocks.cpp"
+            blocks = self._folder / "core" / "generated" / "rosplc_blocks.cpp"
             text = blocks.read_text()
             half = re.compile(r"(void put\(uint8_t \*to, const KINDS_ALL &from\)\n\{\n(?:.*\n){12})")
             broken = f'if (!unlink("{fault}")) raise(SIGSEGV);'
             text, count = half.subn(rf"\1    {broken}\n", text)
             assert count == 1
             blocks.write_text(f"#include <signal.h>\n#include <unistd.h>\n{text}")
-        self._run("bash", "scripts/compile.sh")
-        (self.folder / "build" / "new_libplc.so").rename(self.folder / "build" / "libplc_1.so")
-
-    def _run(self, *command: str) -> None:
-        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout + done.stderr
+        compile_prepared(self._folder)
 
     def start(self) -> None:
-        with self.log.open("a") as log:
-            self._process = subprocess.Popen(
-                [str(self._main), "--print-logs"], cwd=self.folder, stdout=log, stderr=log
-            )
-        wait_for(lambda: "RUNNING" in self.ask("STATUS"), "the runtime runs")
+        self._runtime = Runtime(self._folder)
 
     def kill(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._process = None
-
-    def ask(self, command: str) -> str:
-        """Return the runtime's answer; empty if there is none."""
-        with socket.socket(socket.AF_UNIX) as connection:
-            connection.settimeout(5)
-            try:
-                connection.connect(str(RUN / "plc_runtime.socket"))
-                connection.sendall(f"{command}\n".encode())
-                return connection.recv(4096).decode()
-            except OSError:
-                return ""
+        if self._runtime is not None:
+            self._runtime.kill()
+            self._runtime = None
 
     def become(self, command: str, state: str) -> None:
         """Give a command until it is taken, and wait for the state."""
-        wait_for(lambda: f"{command}:OK" in self.ask(command), f"{command} is taken")
-        wait_for(lambda: state in self.ask("STATUS"), state)
+        wait_for(lambda: f"{command}:OK" in Runtime.ask(command), f"{command} is taken")
+        wait_for(lambda: state in Runtime.ask("STATUS"), state)
 
 
 class Ros:
@@ -279,7 +230,7 @@ class Cell:
         )
         self.project = load_project(self.path)
         (folder / "runtime").mkdir()
-        self.runtime = Runtime(folder / "runtime")
+        self.runtime = Plc(folder / "runtime")
         self.bridge = Bridge(self.path, os.environ)
         self.ros = Ros(self.project, domain)
         self.fault = folder / "fault"
@@ -299,7 +250,6 @@ class Cell:
 @pytest.fixture
 def cell(tmp_path: Path, shm_namespace: Namespace) -> Iterator[Cell]:
     """Give a cell of three programs; the runtime's is still to be loaded."""
-    RUN.mkdir(exist_ok=True)
     domain = FreeDomain()
     made = Cell(tmp_path, shm_namespace.prefix, domain.number)
     yield made
@@ -325,7 +275,7 @@ def test_a_fault_in_mid_copy(cell: Cell) -> None:
     for _ in range(3):
         cell.ros.whole(20)
         cell.fault.touch()
-        wait_for(lambda: cell.ros.send("") and "ERROR" in cell.runtime.ask("STATUS"), "the fault")
+        wait_for(lambda: cell.ros.send("") and "ERROR" in Runtime.ask("STATUS"), "the fault")
         assert not cell.fault.exists()
         cell.runtime.become("START", "RUNNING")
         cell.ros.until_back()
@@ -350,6 +300,39 @@ def test_either_side_is_killed(who: str, cell: Cell) -> None:
         cell.ros.until_back()
     cell.ros.whole(20)
     print(cell.ros.nothing_else())
+
+
+def test_the_tutorials_program(tmp_path: Path, shm_namespace: Namespace) -> None:
+    """As docs/tutorial/openplc.md says, the wheels turn with the command, and stop when none comes."""
+    shown = {block.directives.get("file"): block.text for block in blocks(TUTORIAL)}
+    with ExitStack() as stack:
+        domain = FreeDomain()
+        stack.callback(domain.close)
+        text = shown["rosplc.yaml"].replace("{distro: jazzy}", f"{{backend: dds, domain: {domain.number}}}")
+        (tmp_path / "rosplc.yaml").write_text(f"prefix: {shm_namespace.prefix}\n{text}")
+        project = load_project(tmp_path / "rosplc.yaml")
+        codecs = {plan.topic: Codec(plan.layout, Wire.CDR) for plan in project.topics}
+        stack.callback(Bridge(tmp_path / "rosplc.yaml", os.environ).kill)
+        node = open_backend("dds", project.store, "peer", domain=domain.number)
+        stack.callback(node.close)
+        heard: list[float] = []
+
+        def take(payload: bytes, *_: object) -> None:
+            codec = codecs["/wheel_speed"]
+            heard.append(codec.layout.view(codec.decode(payload)).data)
+
+        node.subscribe("/wheel_speed", "std_msgs/msg/Float64", QOS, take)
+        robot = node.advertise("/cmd_vel", "geometry_msgs/msg/Twist", QOS)
+        (tmp_path / "runtime").mkdir()
+        plc = Plc(tmp_path / "runtime")
+        stack.callback(plc.kill)
+        plc.load(project, shown["cell.st"])
+        plc.start()
+        codec = codecs["/cmd_vel"]
+        wire = codec.encode(bytes(codec.layout.pack({"linear": {"x": 0.5}})))
+        wait_for(lambda: heard and heard[-1] == 0.0, "wheels at rest")
+        wait_for(lambda: robot.write(wire) and heard[-1] == 5.0, "wheels that turn")
+        wait_for(lambda: heard[-1] == 0.0, "wheels at rest again")
 
 
 def test_calls_are_answered(cell: Cell) -> None:

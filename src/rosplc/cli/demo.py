@@ -10,6 +10,8 @@ rosplc demo --duration 20s --kill  —  the bridge is killed on the way, and sta
 
 rosplc demo --plc st --duration 20s  —  the PLC runs generated Structured Text, compiled by gcc
 
+rosplc demo --plc openplc --duration 20s  —  the PLC is OpenPLC's runtime
+
 A simulated robot publishes over DDS; the bridge carries its topics into shared memory; a
 virtual PLC steers the robot from its pose. They are three processes of their own, in a DDS
 domain and under a prefix that nobody else uses. The exit status is 0 only if every message
@@ -19,6 +21,10 @@ around the kill, nothing is torn or comes twice, and both directions work again.
 With --plc st the PLC is what the generator makes of the demo's configuration, with the program
 examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It needs gcc and a
 checkout of the sources; the first time it translates for a minute or two.
+
+With --plc openplc the PLC is OpenPLC Runtime 4.1, whose built folder ROSPLC_OPENPLC names; ROSPLC_STRUCPP
+names that of STruC++, which compiles the program. The runtime needs /run/runtime, which root can make, and
+no other runtime on the machine. Its cycle times are its own; the mean is of the last seconds.
 """
 
 from __future__ import annotations
@@ -43,6 +49,7 @@ if TYPE_CHECKING:
     from rosplc.demo.supervisor import Outage, Result
 
 _UNATTENDED = 20.0
+_MODULES = {"python": "rosplc.demo.plc", "st": "rosplc.demo.st.process", "openplc": "rosplc.demo.openplc"}
 
 
 @verb
@@ -51,7 +58,7 @@ def command(
     duration: str | None = None,
     rate: Annotated[float, Between(1.0, 1000.0)] = 100.0,
     topics: Annotated[int, Between(1, 32)] = 3,
-    plc: Literal["python", "st"] = "python",
+    plc: Literal["python", "st", "openplc"] = "python",
     kill: bool = False,
     as_json: bool = False,
 ) -> None:
@@ -62,7 +69,8 @@ def command(
             where the output is no terminal.
         rate HZ: Messages per second and topic.
         topics N: Topics that the robot sends.
-        plc LANGUAGE: What the PLC runs: python, or st, generated Structured Text in C.
+        plc KIND: What the PLC runs: python; st, generated Structured Text in C; or openplc, a program in
+            OpenPLC's runtime.
         kill: Kill the bridge (SIGKILL) after a third of the time, and start it again.
         as_json: Print the result as JSON.
     """
@@ -74,8 +82,9 @@ def command(
     domain = FreeDomain()
     plan = Plan(domain=domain.number, rate=rate, topics=topics)
     live = sys.stdout.isatty() and not as_json
-    with _ended_by_sigterm(), _structured_text(plan) if plc == "st" else contextlib.nullcontext() as folder:
-        result = _run(plan, seconds, kill=kill, live=live, folder=folder)
+    made = {"st": _structured_text, "openplc": _openplc}.get(plc, lambda _: contextlib.nullcontext())
+    with _ended_by_sigterm(), made(plan) as folder:
+        result = _run(plan, seconds, kill=kill, live=live, module=_MODULES[plc], folder=folder)
     if as_json:
         facts = {"rate": rate, "topics": topics, "interval": plan.interval, "plc": plc}
         print_json({"plan": facts, **result.to_dict()})
@@ -121,6 +130,18 @@ def _structured_text(plan: Plan) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
+def _openplc(plan: Plan) -> Iterator[Path]:
+    """Give a folder with the PLC program, compiled for OpenPLC's runtime."""
+    from rosplc.demo.openplc import compile_prepared, prepare, write_program
+
+    with tempfile.TemporaryDirectory(prefix="rosplc-demo-openplc-") as name:
+        prepare(Path(name), *write_program(Path(name), plan))
+        print("compiling the PLC program for OpenPLC", file=sys.stderr, flush=True)
+        compile_prepared(Path(name))
+        yield Path(name)
+
+
+@contextlib.contextmanager
 def _translating() -> Iterator[Callable[[int, int], None]]:
     """Show on stderr how the translation gets on."""
     from rich.console import Console
@@ -143,7 +164,9 @@ def _translating() -> Iterator[Callable[[int, int], None]]:
         yield lambda done, of: progress.update(task, completed=done, total=of)
 
 
-def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool, folder: Path | None) -> Result:
+def _run(
+    plan: Plan, seconds: float | None, *, kill: bool, live: bool, module: str, folder: Path | None
+) -> Result:
     from rich.console import Console
     from rich.progress import Progress
 
@@ -161,7 +184,7 @@ def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool, folder: P
             def draw(demo: Demo) -> None:
                 progress.update(task, description=demo.phase, completed=demo.elapsed)
 
-        demo = stack.enter_context(Demo(plan, on_tick=draw, structured_text=folder))
+        demo = stack.enter_context(Demo(plan, on_tick=draw, plc=module, folder=folder))
         return demo.run(seconds, kill=kill)
 
 

@@ -167,8 +167,8 @@ _DOWN_SECONDS = 0.5
 class Demo:
     """Three processes and what they report; a context manager that leaves nothing behind.
 
-    ``on_tick`` is called some twenty times per second with this object, to draw a view; ``structured_text``
-    is the folder of a PLC project (``demo.st.sources``) to run as the PLC, None for the Python program.
+    ``on_tick`` is called some twenty times per second with this object, to draw a view; ``plc`` is
+    the module of the PLC's process, and ``folder`` what it runs, None for the Python program.
     """
 
     def __init__(
@@ -176,14 +176,15 @@ class Demo:
         plan: Plan,
         *,
         on_tick: Callable[[Demo], None] | None = None,
-        structured_text: Path | None = None,
+        plc: str = "rosplc.demo.plc",
+        folder: Path | None = None,
     ) -> None:
         self.plan = plan
         self.phase = "starting"
         self.children: list[Child] = []
         self.outage: Outage | None = None
         self._on_tick = on_tick or (lambda _: None)
-        self._structured_text = structured_text
+        self._plc = plc, folder
         self._before = (0, 0)
         self._began: float | None = None
         self._start_bridge: Callable[[], Child]
@@ -258,9 +259,8 @@ class Demo:
         given = [str(configuration), self.plan.prefix]
         self._start_bridge = lambda: Child("bridge", "rosplc.demo.bridge", given, environment)
         self.children.append(self._start_bridge())
-        module, more = "rosplc.demo.plc", []
-        if self._structured_text is not None:
-            module, more = "rosplc.demo.st.process", [str(self._structured_text)]
+        module, folder = self._plc
+        more = [] if folder is None else [str(folder)]
         self.children.append(Child("PLC", module, [plan, *more], environment))
 
     def _kill_bridge(self, began: float) -> None:

@@ -117,7 +117,8 @@ def write_texts(folder: Path, plan: Plan, project: PlcProject, programs: Path) -
     demonstration's own Structured Text.
     """
     texts = project_texts(project)
-    texts |= {path.stem: path.read_text(encoding="utf-8") for path in sorted(programs.glob("*.st"))}
+    for path in (Path(__file__).parent / "Demo_Steer.st", *sorted(programs.glob("*.st"))):
+        texts[path.stem] = path.read_text(encoding="utf-8")
     texts |= _recorder(plan, project)
     for name, text in texts.items():
         (folder / f"{name}.st").write_text(text, encoding="utf-8")
