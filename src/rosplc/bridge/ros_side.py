@@ -61,8 +61,8 @@ class RosSide:
         if "config" in options:
             options["config"] = str((self.config.base / options["config"]).absolute())
         if backend == "rclpy":
-            options["ros_args"] = (*options.get("ros_args", ()), *self.arguments.others)
-            options["parameters"] = None  # the bridge serves them
+            arguments = (*options.get("ros_args", ()), *self.arguments.others)
+            options = {"ros_args": arguments, "parameter_services": False}  # the bridge serves them
         return options
 
     def shown(self) -> dict[str, str | list[str]]:

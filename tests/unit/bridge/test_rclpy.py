@@ -11,11 +11,12 @@ import rosplc
 from rosplc.bridge import Bridge
 from rosplc.config import read_config
 from rosplc.model import TypeStore
-from rosplc.ros import Qos, RosArguments, open_backend
+from rosplc.ros import Qos, Reply, RosArguments, fields, open_backend
 from rosplc.shm import Namespace
 from tests.doubles.ros2 import double
 from tests.lib.waiting import wait_for
 
+STORE = TypeStore.bundled("jazzy")
 INT32 = "std_msgs/msg/Int32"
 DOMAIN = 9  # the double's graph lives in this process alone
 
@@ -38,7 +39,7 @@ def test_bridge_carries_both_ways_and_shows_itself(
     )
     arguments = RosArguments.parse(["-r", "__ns:=/robot1", "-r", "/up:=/robot1/up", "-p", "a:=1"])
     with double(distro), Bridge(read_config(path), arguments=arguments) as bridge:
-        other = open_backend("rclpy", TypeStore.bundled("jazzy"), "other", domain=DOMAIN)
+        other = open_backend("rclpy", STORE, "other", domain=DOMAIN)
         source = other.advertise("/down", INT32, Qos())
         got: list[bytes] = []
         sink = other.subscribe("/robot1/up", INT32, Qos(), lambda payload, _: got.append(payload))
@@ -56,7 +57,14 @@ def test_bridge_carries_both_ways_and_shows_itself(
         assert got == [b"\0\1\0\0\x08\0\0\0"]
         native = bridge.backend._node  # type: ignore[union-attr]
         assert native.get_fully_qualified_name() == "/robot1/rosplc_cell1"
-        shown = {name: native.get_parameter(name).value for name in ("bridge", "topics", "config", "line")}
-        assert shown == {"bridge": "cell1", "topics": ["/down", "/up"], "config": str(path), "line": "north"}
+        service, names = "rcl_interfaces/srv/GetParameters", ["bridge", "topics", "config", "line"]
+        client = other.client("/robot1/rosplc_cell1/get_parameters", service, Qos())
+        wait_for(lambda: client.ready)
+        replies: list[Reply] = []
+        client.call(fields.pack(STORE, f"{service}_Request", {"names": names}), replies.append)
+        wait_for(lambda: replies)
+        found = fields.unpack(STORE, f"{service}_Response", replies[0].payload or b"")["values"]
+        shown = [each["string_value"] or each["string_array_value"] for each in found]
+        assert shown == ["cell1", ["/down", "/up"], str(path), "north"]
         assert [topic.matched for topic in bridge.status().topics] == [1, 1]
         other.close()

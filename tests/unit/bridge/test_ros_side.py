@@ -81,7 +81,7 @@ def test_backends_get_their_own_settings(tmp_path: Path) -> None:
     assert found.options("zenoh") == {"connect": ("tcp/r:7447",), "config": str(Path("z.json5").absolute())}
     rclpy = found.options("rclpy")
     assert rclpy["ros_args"] == ("--enclave", "/a", "-p", "x:=1")
-    assert rclpy["parameters"] is None
+    assert rclpy["parameter_services"] is False
     assert found.shown() == {"bridge": "cell-1", "config": str(Path("c.yaml").absolute()), "topics": []}
     assert found.options("dds") == {}
 

@@ -253,7 +253,7 @@ def test_ros_arguments_apply_to_the_node(machine: Machine) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"ros_arg": []}, {"ros_args": "-r a:=b"}, {"ros_args": [1]}, {"parameters": {"a": 1}}],
+    [{"ros_arg": []}, {"ros_args": "-r a:=b"}, {"ros_args": [1]}],
     ids=str,
 )
 def test_wrong_options_are_refused(machine: Machine, options: dict[str, object]) -> None:
@@ -298,19 +298,15 @@ def test_ros_1_types_are_refused(machine: Machine) -> None:
     assert refused(lambda: machine.node("node", TypeStore.bundled("noetic"))).code == "ROS001"
 
 
-def test_parameters_show_and_cannot_be_set(machine: Machine) -> None:
-    """The node's parameters show what was given, and rosplc's version; they are read-only."""
-    from rosplc import __version__
-
-    shown = {"bridge": "cell1", "topics": ["/a", "/b"], "empty": []}
-    native = machine.node("node", options={"parameters": shown})._node
-    assert native.get_parameter("bridge").value == "cell1"
-    assert native.get_parameter("topics").value == ["/a", "/b"]
-    assert native.get_parameter("version").value == __version__
-    assert not native.has_parameter("empty")
-    parameter = importlib.import_module("rclpy.parameter").Parameter
-    (result,) = native.set_parameters([parameter("bridge", value="other")])
-    assert not result.successful
+@pytest.mark.parametrize("served", [True, False])
+def test_services_of_parameters(machine: Machine, monkeypatch: pytest.MonkeyPatch, served: bool) -> None:
+    """A node has rclpy's, unless the bridge serves them."""
+    backend = importlib.import_module("rosplc.ros.rclpy.backend")
+    asked: dict[str, object] = {}
+    make = backend.Node
+    monkeypatch.setattr(backend, "Node", lambda *names, **how: asked.update(how) or make(*names, **how))
+    machine.node("node", options={} if served else {"parameter_services": False})
+    assert asked["start_parameter_services"] is served
 
 
 # -- messages

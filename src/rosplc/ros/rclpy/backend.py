@@ -23,34 +23,22 @@ from rosplc.ros._base import BaseNode, Context, Problem
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy import endpoint as ends
-from rosplc.ros.rclpy.parameters import show
 
 
-def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str, str | list[str]] | None]:
-    """Return ROS arguments for the bridge's node, and name → value of read-only parameters that it shows.
-
-    None instead of parameters: the node has no services of parameters, which the bridge serves.
+def read_options(options: Mapping[str, object]) -> tuple[list[str], bool]:
+    """Return ROS arguments for the node, and whether it has rclpy's services of parameters.
 
     The arguments are as after ``--ros-args`` on a command line: ``["-r", "cmd_vel:=base/cmd_vel",
     "--enclave", "/cell1"]``. Raises BackendError ROS013 if a key is unknown or its value is not of its kind.
     """
     for key in options:
-        if key not in ("ros_args", "parameters"):
-            raise BackendError("ROS013", f"ros.rclpy has no key {key!r}; there are: ros_args, parameters")
+        if key not in ("ros_args", "parameter_services"):
+            what = f"ros.rclpy has no key {key!r}; there are: ros_args, parameter_services"
+            raise BackendError("ROS013", what)
     arguments = options.get("ros_args", ())
     if not isinstance(arguments, list | tuple) or not all(isinstance(one, str) for one in arguments):
         raise BackendError("ROS013", f"ros.rclpy.ros_args is {arguments!r}; it is a list of strings")
-    parameters = options.get("parameters", {})
-    if parameters is None:
-        return [one for one in arguments if one != "--ros-args"], None
-    if not isinstance(parameters, Mapping) or not all(map(_is_shown, parameters.values())):
-        what = f"ros.rclpy.parameters is {parameters!r}; it maps names to strings or lists of strings"
-        raise BackendError("ROS013", what)
-    return [one for one in arguments if one != "--ros-args"], parameters
-
-
-def _is_shown(value: object) -> bool:
-    return isinstance(value, str) or (isinstance(value, list) and all(isinstance(one, str) for one in value))
+    return [one for one in arguments if one != "--ros-args"], bool(options.get("parameter_services", True))
 
 
 _logger = logging.getLogger("rosplc.ros.rclpy")
@@ -99,14 +87,19 @@ class OwnNode:
         domain: int | None,
         ros_args: Sequence[str],
         clock: Clock,
-        **more: bool,
+        parameter_services: bool,
     ) -> None:
         self.context = RclContext()
         self._clock = clock
         # Never None: rclpy would take the whole program's arguments. Without a domain it is ROS_DOMAIN_ID's.
         self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
         try:
-            self.node: Any = Node(name, context=self.context, namespace=namespace, **more)
+            self.node: Any = Node(
+                name,
+                context=self.context,
+                namespace=namespace,
+                start_parameter_services=parameter_services,
+            )
             self._executor = SingleThreadedExecutor(context=self.context)
             self._executor.add_node(self.node)
         except BaseException:
@@ -404,20 +397,14 @@ def from_node(node: Any, store: TypeStore, *, remap: Mapping[str, str] | None = 
 
 def _open(context: Context) -> RclpyBackend:
     _base.check_ros("rclpy", context.store)
-    ros_args, parameters = read_options(context.options)
+    ros_args, services = read_options(context.options)
     name, namespace = validate_node_name(context.node_name), validate_namespace(context.namespace)
     number = _base.domain_number(context.domain, context.environment)
     try:
-        more = {} if parameters is not None else {"start_parameter_services": False}
-        own = OwnNode(name, namespace, number, ros_args, context.clock, **more)
+        own = OwnNode(name, namespace, number, ros_args, context.clock, services)
     except Exception as error:
         raise refusal(f"cannot join the graph as {join(namespace, name)}", error) from error
     backend = RclpyBackend(own.node, context.store, context.remap, context.clock, own)
-    try:
-        show(own.node, parameters or {})
-    except BaseException:
-        own.leave()
-        raise
     own.start(backend.lose)
     return backend
 

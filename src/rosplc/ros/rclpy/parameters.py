@@ -13,16 +13,6 @@ from rosplc._version import __version__
 _WORDS = "shown only; set by rosplc"
 
 
-def show(node: Any, values: Mapping[str, str | list[str]]) -> None:
-    """Declare read-only parameters; ``version`` always, and those given."""
-    # An override from outside (``-p name:=value``) does not change a value, and an empty list is left out:
-    # rclpy cannot tell its type.
-    for name, value in {"version": __version__, **values}.items():
-        if value != [] and not node.has_parameter(name):
-            descriptor = ParameterDescriptor(read_only=True, description=_WORDS)
-            node.declare_parameter(name, value, descriptor, True)
-
-
 class Shown:
     """Parameters that change with the configuration, ``version`` at once, and that nothing else can set.
 
@@ -33,7 +23,9 @@ class Shown:
         self._node = node
         self._names: set[str] = set()
         self._ours = False
-        show(node, {})
+        if not node.has_parameter("version"):
+            version = ParameterDescriptor(read_only=True, description=_WORDS)
+            node.declare_parameter("version", __version__, version, True)
         node.add_on_set_parameters_callback(self._judge)
 
     def update(self, values: Mapping[str, str | list[str]]) -> None:
