@@ -144,7 +144,7 @@ def test_umask_matters_nowhere(shared: Namespace, name: str) -> None:
     for umask in (0o000, 0o022, 0o077):
         before = os.umask(umask)
         try:
-            OwnedChannel.open(shared, describe(), record_size=64, mode=0o660).close()
+            OwnedChannel.open(shared, describe(), record_size=64).close()
             claimed = ClassicObject(name, name, 48, write=True, recover_after_ns=10**9)
             claimed.claim()
             claimed.attach()
@@ -262,7 +262,7 @@ def test_object_that_another_user_has_laid_is_refused(shared: Namespace) -> None
     """An object that another user has laid before the bridge came is neither adopted nor changed."""
 
     def lay() -> None:
-        with OwnedChannel.open(shared, describe(), record_size=64, mode=0o666):
+        with OwnedChannel.open(shared, describe(), record_size=64, rights=Rights(0o666)):
             pass
         shared.lock_path(_TOPIC).unlink()
 
@@ -327,6 +327,6 @@ def test_root_gives_no_lock_away_that_it_did_not_make(shared: Namespace) -> None
 
     run_as(_BRIDGE, lay)
     before = shared.lock_path(_TOPIC).stat()
-    with OwnedChannel.open(shared, describe(), record_size=64, uid=_BRIDGE, gid=_GROUP):
+    with OwnedChannel.open(shared, describe(), record_size=64, rights=Rights(uid=_BRIDGE, gid=_GROUP)):
         after = shared.lock_path(_TOPIC).stat()
     assert (before.st_uid, before.st_gid, before.st_mode) == (after.st_uid, after.st_gid, after.st_mode)

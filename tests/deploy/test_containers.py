@@ -132,6 +132,7 @@ SHARE = """
 import ctypes, os, sys, time
 from rosplc.shm import Namespace
 from rosplc.shm import OwnedChannel
+from rosplc.shm.files import Rights
 from tests.lib.channels import describe, pattern
 
 role, prefix, user, group, groups = sys.argv[1], sys.argv[2], *map(int, sys.argv[3:6])
@@ -140,7 +141,7 @@ os.setgid(group)
 os.setuid(user)
 ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, which another user's id has cleared
 if role == "bridge":
-    channel = OwnedChannel.open(Namespace(prefix), describe("/in"), record_size=64, gid=groups)
+    channel = OwnedChannel.open(Namespace(prefix), describe("/in"), record_size=64, rights=Rights(gid=groups))
     writer = channel.writer()
     print("ready", flush=True)
     for number in range(1, 1 << 30):

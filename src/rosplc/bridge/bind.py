@@ -19,6 +19,7 @@ from rosplc.errors import ChannelError, MessageTypeError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import DISTROS, TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm.files import Rights
 
 _log = logging.getLogger("rosplc.bind")
 _LOOK_NS = 1_000_000_000
@@ -87,8 +88,8 @@ def bind(
     codec = Codec(layout)
 
     names = Namespace(prefix, directory)
-    size = layout.size
-    made = partial(OwnedChannel.open, names, description, record_size=size, slots=slots, mode=mode, gid=gid)
+    size, own = layout.size, Rights(mode, gid=gid)
+    made = partial(OwnedChannel.open, names, description, record_size=size, slots=slots, rights=own)
     return Binding(description, codec, made, message_class, print=print, truncate=truncate, every=every)
 
 

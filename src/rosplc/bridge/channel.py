@@ -53,7 +53,7 @@ class ChannelPort(Port, Generic[_U]):
             describe(plan, distro=context.distro, bridge=context.bridge),
             record_size=plan.layout.size,
             slots=plan.slots,
-            **vars(context.rights),
+            rights=context.rights,
             bridge_id=context.bridge_id,
         )
         try:

@@ -77,11 +77,11 @@ def leaving(project: Project, context: Context) -> Iterator[Leaving]:
 
 def retire_leftovers(project: Project) -> None:
     """Retire what left the configuration (spec, section 8.7)."""
-    given = vars(rights(project.config))
+    given = rights(project.config)
     for said, identity in _leftovers(project):
         size, slots = identity.record_size, identity.slot_count
         try:
-            OwnedChannel.open(project.namespace, said, record_size=size, slots=slots, **given).retire()
+            OwnedChannel.open(project.namespace, said, record_size=size, slots=slots, rights=given).retire()
         except (ChannelError, OSError, ValueError) as error:
             log.debug("%s is left alone: %s", said.topic, error)
         else:

@@ -111,7 +111,7 @@ class Use(Notes, ABC):
         ]
         left = None if self._known else self._left()
         opened = OwnedChannel.open_together(
-            context.namespace, parts, **vars(context.rights), bridge_id=context.bridge_id
+            context.namespace, parts, rights=context.rights, bridge_id=context.bridge_id
         )
         self._channels = dict(zip(self.plan.parts, opened, strict=True))
         self.adopted = opened[0].adopted

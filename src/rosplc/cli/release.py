@@ -77,16 +77,5 @@ def _release(namespace: Namespace, attached: Attached, *, towards_plc: bool) -> 
     with ExitStack() as stack:
         if towards_plc:
             # Only a bridge writes there: its lock shows whether one is running.
-            status = attached.path.stat()
-            stack.enter_context(
-                OwnedChannel.open(
-                    namespace,
-                    attached.description,
-                    record_size=attached.identity.record_size,
-                    slots=attached.identity.slot_count,
-                    mode=status.st_mode & 0o777,
-                    uid=status.st_uid,
-                    gid=status.st_gid,
-                )
-            )
+            stack.enter_context(OwnedChannel.take_over(namespace, attached))
         Writer(attached.region, attached.snapshot().writer.epoch, 1000).release()

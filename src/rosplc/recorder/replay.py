@@ -6,7 +6,6 @@ Answers, feedback and results are not compared.
 from __future__ import annotations
 
 import secrets
-import stat
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
@@ -46,6 +45,7 @@ from rosplc.ros import (
 from rosplc.ros.backend import OnReply, OnRequest
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
 from rosplc.shm.calls import WORDS
+from rosplc.shm.files import USUAL, Rights
 
 _LOOK_S = 0.05
 _ANSWER_NS = 10_000_000_000
@@ -370,7 +370,7 @@ class PlcTarget(Target):
                 self._convert(name, topic, own, plan.layout, plan.direction, "the configuration")
                 settings = project.config.settings
                 description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
-                owner = vars(rights(project.config))
+                owner = rights(project.config)
                 return _Plan(description, plan.layout, plan.slots, plan.truncate, owner)
         there = self._there(name)
         if there is not None:
@@ -431,7 +431,7 @@ class PlcTarget(Target):
         try:
             with attach(self._namespace, name) as attached:
                 status = attached.path.stat()
-                owner = {"mode": stat.S_IMODE(status.st_mode), "uid": status.st_uid, "gid": status.st_gid}
+                owner = Rights.of(status)
                 slots = attached.identity.slot_count
                 return _Plan(attached.description, layout_of(attached), slots, owner=owner)
         except (ChannelError, OSError):
@@ -572,12 +572,12 @@ class _Plan:
     layout: Layout
     slots: int
     truncate: bool = False
-    owner: Mapping[str, Any] = field(default_factory=dict)
+    owner: Rights = USUAL
 
     def bind(self, namespace: Namespace) -> Binding:
         def open_channel() -> OwnedChannel:
             return OwnedChannel.open(
-                namespace, self.description, record_size=self.layout.size, slots=self.slots, **self.owner
+                namespace, self.description, record_size=self.layout.size, slots=self.slots, rights=self.owner
             )
 
         return Binding(

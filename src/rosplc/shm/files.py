@@ -36,6 +36,11 @@ class Rights:
     uid: int | None = None
     gid: int | None = None
 
+    @classmethod
+    def of(cls, found: os.stat_result) -> Rights:
+        """Return those of a file."""
+        return cls(stat.S_IMODE(found.st_mode), found.st_uid, found.st_gid)
+
     def give(self, fd: int, path: Path) -> None:
         """Set them. Raises SHM102 where that is not allowed."""
         try:

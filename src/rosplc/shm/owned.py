@@ -21,9 +21,9 @@ from rosplc._core import Reader, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm import constants as spec
 from rosplc.shm import files
-from rosplc.shm.attach import Mapped, start_of, take_over_line, take_over_writer
+from rosplc.shm.attach import Attached, Mapped, start_of, take_over_line, take_over_writer
 from rosplc.shm.constants import Direction
-from rosplc.shm.files import NameLock, Rights, create_complete, open_plain_file
+from rosplc.shm.files import USUAL, NameLock, Rights, create_complete, open_plain_file
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.names import Description, Namespace, partnered
 
@@ -56,24 +56,26 @@ class OwnedChannel(Mapped):
         *,
         record_size: int,
         slots: int = 4,
-        mode: int = 0o660,
-        uid: int | None = None,
-        gid: int | None = None,
+        rights: Rights = USUAL,
         bridge_id: bytes | None = None,
     ) -> OwnedChannel:
         """Lock the name, then adopt the object found there if it agrees in everything, or replace it.
 
         ``record_size`` is in bytes; ``slots`` is a power of two, 4 to 65536, and one less messages can wait.
-        ``mode`` is the object's permission bits; without ``uid`` or ``gid`` it gets this process's user or
-        group. ``bridge_id`` is 16 random bytes drawn when the bridge started; None draws them now.
+        ``bridge_id`` is 16 random bytes drawn when the bridge started; None draws them now.
 
         Raises ChannelError SHM116 if another bridge holds the name, SHM117 without room, SHM118 if the name
         is not valid, SHM119 for another user's object, SHM121 for no plain file or a hard link, SHM104 or
         SHM103 for a file that no bridge has made, SHM123 if the directory cannot be used, SHM102 if owner or
         group cannot be set; ValueError if slots or record_size are outside the format's limits.
         """
-        rights = Rights(mode, uid, gid)
         return cls._open(namespace, [(description, record_size)], slots, rights, bridge_id)[0]
+
+    @classmethod
+    def take_over(cls, namespace: Namespace, found: Attached) -> OwnedChannel:
+        """Open an object that another has made, as it is. Raises as :meth:`open`."""
+        size, slots, rights = found.identity.record_size, found.identity.slot_count, found.path.stat()
+        return cls.open(namespace, found.description, record_size=size, slots=slots, rights=Rights.of(rights))
 
     @classmethod
     def open_together(
@@ -81,9 +83,7 @@ class OwnedChannel(Mapped):
         namespace: Namespace,
         parts: Sequence[tuple[Description, int]],
         *,
-        mode: int = 0o660,
-        uid: int | None = None,
-        gid: int | None = None,
+        rights: Rights = USUAL,
         bridge_id: bytes | None = None,
     ) -> tuple[OwnedChannel, ...]:
         """Open all objects of one use of a service or action; adopt all of them or none (section 11.1).
@@ -93,7 +93,7 @@ class OwnedChannel(Mapped):
         all and open them together again.
         """
         complete = zip(partnered([one for one, _ in parts]), (size for _, size in parts), strict=True)
-        return cls._open(namespace, complete, spec.MIN_SLOTS, Rights(mode, uid, gid), bridge_id)
+        return cls._open(namespace, complete, spec.MIN_SLOTS, rights, bridge_id)
 
     @classmethod
     def _open(

@@ -10,7 +10,6 @@ name, which a running bridge holds.
 
 from __future__ import annotations
 
-import stat
 import sys
 from pathlib import Path
 from typing import Any
@@ -200,17 +199,8 @@ def _publish(region: Region, same_layout: bool, topic: str, record: bytes, stamp
 
 
 def _to_plc(namespace: Namespace, attached: Attached, record: bytes, stamp_ns: int) -> int:
-    found = attached.path.stat()
     try:
-        with OwnedChannel.open(
-            namespace,
-            attached.description,
-            record_size=attached.identity.record_size,
-            slots=attached.identity.slot_count,
-            mode=stat.S_IMODE(found.st_mode),
-            uid=found.st_uid,
-            gid=found.st_gid,
-        ) as channel:
+        with OwnedChannel.take_over(namespace, attached) as channel:
             return _publish(channel.region, True, channel.description.topic, record, stamp_ns)
     except ChannelError as error:
         if error.code == "SHM116":

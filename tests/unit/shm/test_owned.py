@@ -12,6 +12,7 @@ import pytest
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Identity, Namespace, OwnedChannel, attach
 from rosplc.shm.constants import HEADER_SIZE, IDENTITY, STATE_RETIRED, WRITER_LINE
+from rosplc.shm.files import Rights
 from tests.lib.channels import describe, open_channel, pattern
 
 pytestmark = pytest.mark.verifies("users", own="processes of other users")
@@ -47,7 +48,7 @@ def test_mode_ignores_the_umask(shm_namespace: Namespace, mode: int) -> None:
     """The object has the mode that was asked for, whatever the process's umask."""
     before = os.umask(0o077)
     try:
-        with OwnedChannel.open(shm_namespace, describe(), record_size=8, mode=mode):
+        with OwnedChannel.open(shm_namespace, describe(), record_size=8, rights=Rights(mode)):
             assert shm_namespace.path(_TOPIC).stat().st_mode & 0o7777 == mode
     finally:
         os.umask(before)
@@ -109,7 +110,7 @@ def test_definition_and_mode_are_part_of_the_identity(shm_namespace: Namespace) 
     object.__setattr__(changed, "definition", "uint64[] data\nuint8 LIMIT=7\n")
     with OwnedChannel.open(shm_namespace, changed, record_size=64) as channel:
         assert "self-description" in channel.replaced_reason
-    with OwnedChannel.open(shm_namespace, changed, record_size=64, mode=0o600) as channel:
+    with OwnedChannel.open(shm_namespace, changed, record_size=64, rights=Rights(0o600)) as channel:
         assert "mode" in channel.replaced_reason
 
 
@@ -347,7 +348,9 @@ def test_object_of_another_user(shm_namespace: Namespace) -> None:
 def test_object_for_another_user(shm_namespace: Namespace) -> None:
     """An object made for the PLC's user is that user's, and is adopted again."""
     for adopted in (False, True):
-        with OwnedChannel.open(shm_namespace, describe(), record_size=8, uid=12345, gid=54321) as channel:
+        with OwnedChannel.open(
+            shm_namespace, describe(), record_size=8, rights=Rights(uid=12345, gid=54321)
+        ) as channel:
             status = shm_namespace.path(_TOPIC).stat()
             assert (status.st_uid, status.st_gid) == (12345, 54321)
             assert channel.adopted is adopted
@@ -362,7 +365,7 @@ def test_group_that_is_not_ours(shm_namespace: Namespace, monkeypatch: pytest.Mo
     with monkeypatch.context() as patch:
         patch.setattr(os, "fchown", refuse)
         with pytest.raises(ChannelError) as caught:
-            OwnedChannel.open(shm_namespace, describe(), record_size=8, gid=54321)
+            OwnedChannel.open(shm_namespace, describe(), record_size=8, rights=Rights(gid=54321))
         assert _code(caught) == "SHM102"
     open_channel(shm_namespace).close()
 
