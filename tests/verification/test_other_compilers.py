@@ -15,8 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.plc.build import build_project, build_type_library
-from rosplc.plc.plan import PlcTask
+from rosplc.config.resolve import load_project
+from rosplc.plc.build import build_project, build_type_library, plc_project
+from rosplc.plc.plan import PlcTask, ProjectOptions
 from rosplc.plc.project import project_texts
 from tests.verification.call_cell import calls
 from tests.verification.plc_cell import store
@@ -40,7 +41,8 @@ STRUCPP: list[Rule] = [
     (r"\bRTS_IEC_RESULT\b", "UDINT"),
     (r"\bRTS_INVALID_HANDLE\b", "16#FFFFFFFFFFFFFFFF"),
     (r"__UXINT_TO", "ULINT_TO"),
-    (r"(?m)^\) UDINT;", ");"),  # no base types of enumerations
+    (r"(?m)^\) U[DS]INT;", ");"),  # no base types of enumerations
+    (r"(?m)^( +\w+ : \w+) := \(\w+ := .*\);", r"\1;"),  # no initial values of structures
     (r"\d+\([^()]*\)\]", "0]"),  # no repeated initial values
     (r"(?m)^( +\w+ : (?!W?STRING)\w+)\([^;]*\);", r"\1;"),  # no arguments of FB_Init
     # CODESYS converts between pointers, and from a number to an enumeration
@@ -69,6 +71,21 @@ FUNCTION SysMemSet : POINTER TO BYTE
 VAR_INPUT pDest : POINTER TO BYTE; udiValue : UDINT; udiCount : ULINT; END_VAR
 ;
 END_FUNCTION
+"""
+
+OWN = """
+rosout: {plc: true}
+time: {plc: true}
+transforms: {tool: {target: base, source: tool, max_age: 1min}}
+parameters:
+  declare:
+    speed: {type: double, value: 0.5, range: [0, 2]}
+    serial: {type: string, value: "x'y$", read_only: true}
+    arm.raw: {type: byte_array, value: [1, 255], capacity: 3}
+    arm.flags: {type: bool_array, value: [true], capacity: 3}
+    arm.names: {type: string_array, value: [a], capacity: 3, length: 4}
+topics:
+  /in: {type: std_msgs/msg/Int32, to: plc}
 """
 
 
@@ -128,6 +145,21 @@ def project_of_calls() -> dict[str, str]:
     return project_texts(build_project(store(), (), [PlcTask("Fast"), PlcTask("RosTask")], calls=calls()))
 
 
+def project_of_own_topics(folder: Path, fenced: bool = True) -> dict[str, str]:
+    (folder / "rosplc.yaml").write_text(OWN)
+    project = load_project(folder / "rosplc.yaml")
+    return project_texts(plc_project(project, ProjectOptions(fenced=fenced)))
+
+
+@pytest.mark.needs(variable="ROSPLC_STRUCPP")
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("fenced", [True, False])
+def test_log_time_transforms_and_parameters(fenced: bool, tmp_path: Path) -> None:
+    texts = project_of_own_topics(tmp_path, fenced)
+    assert {"RosPlc_Log", "RosPlc_Time", "RosPlc_Pose", "RosPlc_Parameters"} <= texts.keys()
+    assert strucpp(for_strucpp(texts), tmp_path) == ""
+
+
 @pytest.mark.needs(variable="ROSPLC_STRUCPP")
 @pytest.mark.timeout(600)
 def test_services_and_actions(tmp_path: Path) -> None:
@@ -158,12 +190,34 @@ def test_a_fault_is_reported(right: str, wrong: str, told: str, tmp_path: Path) 
     assert told in strucpp(text.replace(right, wrong, 1), tmp_path)
 
 
+@pytest.mark.needs(variable="ROSPLC_STRUCPP")
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [
+        ("udiStill := 0;", "udiStil := 0;", "Undeclared variable 'UDISTIL'"),
+        ("sFrame := '';", "sFrame := TRUE;", "Cannot assign BOOL to STRING"),
+        ("uiWaiting := uiWaiting + 1;", "uiWaiting := 'no';", "Cannot assign STRING"),
+        (".msg.number := uliNumber;", ".msg.number := 'no';", "Cannot assign STRING"),
+    ],
+)
+def test_a_fault_of_the_bridges_own_blocks_is_reported(
+    right: str, wrong: str, told: str, tmp_path: Path
+) -> None:
+    text = for_strucpp(project_of_own_topics(tmp_path))
+    assert right in text
+    assert told in strucpp(text.replace(right, wrong, 1), tmp_path)
+
+
 @pytest.mark.needs(variable="ROSPLC_BEREMIZ")
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("distro", DISTROS)
-def test_data_types_by_matiec(distro: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("of", [*DISTROS, "own"])
+def test_data_types_by_matiec(of: str, tmp_path: Path) -> None:
     """The standard's second edition has the data types, but no strings of a length inside of them."""
-    texts = project_texts(build_type_library(store(distro), all_layouts(distro)))
+    if of == "own":
+        texts = project_of_own_topics(tmp_path)
+    else:
+        texts = project_texts(build_type_library(store(of), all_layouts(of)))
     types = {name: changed(text, MATIEC) for name, text in texts.items() if "END_STRUCT" in text}
     program = "PROGRAM Empty\nVAR x : BOOL; END_VAR\nx := TRUE;\nEND_PROGRAM\n"
     (tmp_path / "all.st").write_text("\n".join(in_order(types)) + program)
