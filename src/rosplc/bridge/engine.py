@@ -160,9 +160,8 @@ class Bridge:
         """Have a backend that can tell find out whether it carries all types. Raises as the backend does."""
         if (check := getattr(backend, "check", None)) is None:
             return
-        between = self.settings.own_topics
-        topics = [p for p in self.project.topics if not (p.of_parameters or p.topic in between)]
-        names = {TF_MESSAGE if p.transform else p.type_name for p in topics}
+        topics = [plan for plan in self.project.topics if plan.own in ("", "pose")]
+        names = {TF_MESSAGE if plan.own else plan.type_name for plan in topics}
         for plan in self.project.calls:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
         for name in sorted(names):

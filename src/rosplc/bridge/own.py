@@ -91,5 +91,5 @@ class OwnTopics:
     def begin(self, streams: Iterable[Carried]) -> None:
         """The streams are carried: give the PLC its first values."""
         if self.parameters is not None:
-            found = (each for each in streams if isinstance(each, Stream) and each.plan.of_parameters)
+            found = (each for each in streams if isinstance(each, Stream) and each.plan.own == "parameters")
             self.parameters.begin(tuple(found))

@@ -57,7 +57,7 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
     asked, settings = config.settings.parameters, config.settings
     if not asked.declare:
         return None
-    key = ("parameters", "declare")
+    key, found = ("parameters", "declare"), len(problems)
     if store.ros_version == 1:
         problems.wrong(config.source, ("parameters",), f"{settings.ros.distro} has no parameters of nodes")
         return None
@@ -81,7 +81,8 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
         except ValueError as error:
             problems.wrong(config.source, (*key, name), str(error))
     task = config.task(asked.task, ("parameters", "task"), problems)
-    problems.check()
+    if len(problems) > found:
+        return None
     lines = (f"{_FIELD_TYPES[each.kind]} {fields[each.name]}\n" for each in declared)
     text = f"uint64 number\nValues values\n{_SEPARATOR}\nMSG: rosplc_parameters/Values\n{''.join(lines)}"
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import grp
 import pwd
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,8 +29,8 @@ from rosplc.config.plans import (
 )
 from rosplc.config.quantities import format_duration
 from rosplc.config.settings import TIME_TEXT, TIME_TYPE, TaskSettings, TopicSettings, TransformSettings
-from rosplc.config.transforms import DEFINITION, TYPE_NAME, topics_of
-from rosplc.config.yaml_source import Absent, Problems
+from rosplc.config.transforms import DEFINITION, FRAME_BYTES, TYPE_NAME
+from rosplc.config.yaml_source import Absent, KeyPath, Problems
 from rosplc.described import description_of
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
@@ -47,6 +47,9 @@ _LARGEST_ID = 2**32 - 2
 _TO_PLC = Qos(reliability="reliable", durability="volatile", depth=1000)
 _TO_ROS = PRESETS["latched"]
 _STALE_NS = {"plc": 1_000_000_000, "ros": 0}
+
+
+Own: TypeAlias = Literal["", "log", "time", "pose", "parameters"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class TopicPlan:
     truncate: bool = False  # what does not fit is cut, not refused
     print: bool = False  # each message is logged
     classic: ClassicPlan | None = None  # set for a topic in classic mode: a bare record instead of a channel
-    of_parameters: bool = False  # it carries the parameters of the bridge's node, and is no topic of ROS
+    own: Own = ""  # what the bridge itself has it for; it is no topic of ROS then
     transform: TransformSettings | None = None  # set for a topic that no node publishes: the bridge fills it
 
     @property
@@ -167,12 +170,17 @@ def resolve(config: Config) -> Project:
     namespace = Namespace(settings.prefix, settings.shm.directory)
     plans = []
     names: dict[str, str] = {}
-    for where, topic, entry, transform in topics_of(settings):
+    parameters = parameters_plan(config, store, problems)
+    if parameters is not None:
+        store = parameters.layout.store
+    for where, topic, entry, own in _topics_of(config, parameters):
         name = namespace.object_name(topic)
         if entry.classic is not None:
             name = entry.classic.name or classic_name(topic)
         if name in names:
             what = f"{topic} and {names[name]} both become {name}"
+            if own and topic in settings.topics:
+                where, what = ("topics", topic), f"the bridge itself has {topic} for the PLC"
             problems.wrong(config.source, where, what, "", "CFG007")
         names[name] = topic
         task = config.task(entry.task, (*where, "task"), problems)
@@ -180,43 +188,46 @@ def resolve(config: Config) -> Project:
         if layout is None or task not in settings.tasks:
             continue
         try:
-            plans.append(replace(_plan(config, topic, entry, task, layout), transform=transform))
+            transform = settings.transforms[str(where[1])] if own == "pose" else None
+            made = _plan(config, topic, entry, task, layout)
+            plans.append(replace(made, own=own, transform=transform))
         except (ConfigError, LayoutError) as error:
             wrong = "slots" if entry.classic is None else "classic"
             problems.add(error, config.source.line((*where, wrong)))
     services = tuple(call_plans(config, ServicePlan, store, problems))
     actions = tuple(call_plans(config, ActionPlan, store, problems))
-    parameters = parameters_plan(config, store, problems)
-    problems.check()
-    if parameters is not None:
-        plans += _parameter_topics(config, parameters, names, problems)
-        store = parameters.layout.store
     problems.check()
     return Project(config, store, namespace, tuple(plans), services, actions, parameters)
 
 
-def _parameter_topics(
-    config: Config, plan: ParametersPlan, names: dict[str, str], problems: Problems
-) -> list[TopicPlan]:
-    found = []
-    for topic, direction in ((WANTED, Direction.TO_PLC), (CURRENT, Direction.TO_ROS)):
-        if topic in names.values():
-            problems.wrong(config.source, ("topics", topic), "the name is that of an object of `parameters`")
+def _topics_of(
+    config: Config, parameters: ParametersPlan | None
+) -> Iterator[tuple[KeyPath, str, TopicSettings, Own]]:
+    """Yield where each topic is configured, its name and settings, and what the bridge itself has it for."""
+    settings = config.settings
+    for topic, entry in settings.topics.items():
+        yield ("topics", topic), topic, entry, ""
+    if settings.rosout.plc:
+        log = "rosgraph_msgs/msg/Log" if settings.ros.distro == ROS1 else "rcl_interfaces/msg/Log"
+        limits = {"string": 1, "sequence": 1, "msg": 200}  # the bridge fills in the other texts
+        entry = TopicSettings(type=log, to="ros", task=settings.rosout.task, limits=limits)
+        yield ("rosout",), "/rosout", entry, "log"
+    if settings.time.plc:
+        yield ("time",), "/ros_time", TopicSettings(type=TIME_TYPE, to="plc", task=settings.time.task), "time"
+    for name, wanted in settings.transforms.items():
+        shared = {"type": TYPE_NAME, "to": "plc", "task": wanted.task, "limits": {"frame": FRAME_BYTES}}
+        times = {"expected_rate": wanted.rate_ns, "stale_after": max(10**9, 3 * wanted.rate_ns)}
+        entry = TopicSettings.model_validate(shared | {key: f"{ns}ns" for key, ns in times.items()})
+        yield ("transforms", name), f"/transforms/{name}", entry, "pose"
+    if parameters is not None:
+        limits = dict(parameters.layout.limits.fields)
+        usual = {"type": TYPE, "task": parameters.task, "limits": limits, "every": False}
         # A PLC that starts takes what was wanted last, unless its own values count.
-        latched = direction is Direction.TO_ROS or plan.initial == "file"
-        found.append(
-            TopicPlan(
-                topic,
-                TYPE,
-                direction,
-                plan.layout,
-                _TO_PLC,
-                latched=latched,
-                task=plan.task,
-                of_parameters=True,
+        for topic, to, latched in ((WANTED, "plc", parameters.initial == "file"), (CURRENT, "ros", True)):
+            entry = TopicSettings.model_validate(
+                {**usual, "to": to, "latched": latched, "stale_after": "never"}
             )
-        )
-    return found
+            yield ("parameters",), topic, entry, "parameters"
 
 
 def _store(config: Config, problems: Problems) -> TypeStore:

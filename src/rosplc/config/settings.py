@@ -25,7 +25,7 @@ from pydantic import (
 from rosplc.config.quantities import Duration, FileMode, Interval, StaleAfter, between
 from rosplc.config.yaml_source import did_you_mean
 from rosplc.model import DISTROS
-from rosplc.ros import BACKENDS, ROS1
+from rosplc.ros import BACKENDS
 from rosplc.ros.parameters import Kind
 
 LONGEST_NAME = 247  # characters of a topic's or namespace's name, as in ROS
@@ -677,26 +677,6 @@ class Settings(_Section):
     transforms: dict[ClientName, TransformSettings] = _f(
         {}, "Poses of frames for the PLC, by a name of your choice.", max_length=MOST_SERVICES
     )
-
-    @property
-    def own_topics(self) -> dict[str, TopicSettings]:
-        """Topics between the bridge itself and the PLC, which are among ``topics``, too."""
-        found = {}
-        if self.rosout.plc:
-            log = "rosgraph_msgs/msg/Log" if self.ros.distro == ROS1 else "rcl_interfaces/msg/Log"
-            limits = {"string": 1, "sequence": 1, "msg": 200}  # the bridge fills in the other texts
-            found["/rosout"] = TopicSettings(type=log, to="ros", task=self.rosout.task, limits=limits)
-        if self.time.plc:
-            found["/ros_time"] = TopicSettings(type=TIME_TYPE, to="plc", task=self.time.task)
-        return found
-
-    @model_validator(mode="after")
-    def _have_own_topics(self) -> Settings:
-        for name, entry in self.own_topics.items():
-            if name in self.topics:
-                raise ValueError(f"the bridge itself has {name} for the PLC; remove it from topics")
-            self.topics[name] = entry
-        return self
 
     @model_validator(mode="before")
     @classmethod

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterator
-
-from rosplc.config.settings import Settings, TopicSettings, TransformSettings
-from rosplc.config.yaml_source import KeyPath
 
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"  # what ROS nodes publish
 TYPE_NAME = "rosplc/msg/Transform"  # what the PLC gets
@@ -30,14 +26,3 @@ class TransformError(enum.IntEnum):
     NO_COMMON_TIME = 4  # the chain is not known for any one time; this frame's transform lacks it
     TOO_OLD = 5  # the pose is older than `max_age`; this frame's transform is the oldest
     LOOP = 6  # this frame is its own ancestor: several nodes publish its parents
-
-
-def topics_of(settings: Settings) -> Iterator[tuple[KeyPath, str, TopicSettings, TransformSettings | None]]:
-    """Yield where each topic is configured, its name and settings, and the transform that it carries."""
-    for topic, entry in settings.topics.items():
-        yield ("topics", topic), topic, entry, None
-    for name, wanted in settings.transforms.items():
-        shared = {"type": TYPE_NAME, "to": "plc", "task": wanted.task, "limits": {"frame": FRAME_BYTES}}
-        times = {"expected_rate": wanted.rate_ns, "stale_after": max(10**9, 3 * wanted.rate_ns)}
-        entry = TopicSettings.model_validate(shared | {key: f"{ns}ns" for key, ns in times.items()})
-        yield ("transforms", name), f"/transforms/{name}", entry, wanted

@@ -448,8 +448,7 @@ class _Examination:
         def type_hash(name: str) -> str:
             return "" if silent else project.store.type_hash(name)
 
-        inner = project.config.settings.own_topics
-        of_ros = [p for p in self._topics if not (p.of_parameters or p.transform or p.topic in inner)]
+        of_ros = [plan for plan in self._topics if not plan.own]
         yield from graph.judge_graph(seen, of_ros, type_hash, self._calls, bridge_runs=runs)
 
     # Generated code.

@@ -277,12 +277,8 @@ def load(path: Path, arguments: RosArguments | None = None) -> Project:
         definitions = Definitions(config.settings.ros.distro, config.type_folders)
     except MessageTypeError:
         return resolve(config)  # which names the folder and its line
-    own, topics = config.settings.own_topics, config.settings.topics
-    if missing := {
-        name: entry.type
-        for name, entry in topics.items()
-        if name not in own and _is_unknown(definitions.store, entry.type)
-    }:
+    topics = config.settings.topics.items()
+    if missing := {name: entry.type for name, entry in topics if _is_unknown(definitions.store, entry.type)}:
         _learn_all(config, arguments or RosArguments(), definitions, missing)
     return resolve(config)
 

@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Literal
 
 from rosplc._version import __version__
 from rosplc.config.parameters import CURRENT, WANTED, ParametersPlan
@@ -474,8 +473,6 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
 
 def plc_topics(project: Project) -> list[PlcTopic]:
     """Return a configuration's topics as the PLC sees them."""
-    kinds: dict[str, Literal["log", "time"]] = {"/rosout": "log", "/ros_time": "time"}
-    of_settings = {name: kinds[name] for name in project.config.settings.own_topics}
     return [
         PlcTopic(
             topic=plan.topic,
@@ -489,7 +486,7 @@ def plc_topics(project: Project) -> list[PlcTopic]:
             in_order=plan.every,
             latched=plan.latched,
             classic=plan.classic,
-            own="pose" if plan.transform else of_settings.get(plan.topic, ""),
+            own="" if plan.own == "parameters" else plan.own,
             max_age_ns=plan.transform.max_age_ns if plan.transform else 0,
         )
         for plan in project.topics

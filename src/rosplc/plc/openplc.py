@@ -40,7 +40,7 @@ def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[s
 
     Raises GenerationError (PLC006) for a name that is too long for matiec.
     """
-    inner = {plan.topic for plan in project.topics if plan.of_parameters}
+    inner = {plan.topic for plan in project.topics if plan.own == "parameters"}
     topics = [each for each in build.plc_topics(project) if each.classic is None and each.topic not in inner]
     for name in [topic.topic for topic in topics] + [call.called for call in project.calls]:
         if plc == "matiec" and len(name) > _STRING:

@@ -32,7 +32,7 @@ def test_two_topics_of_one_message() -> None:
     wanted, current = project.topics
     assert (wanted.topic, wanted.direction, wanted.latched) == (WANTED, Direction.TO_PLC, True)
     assert (current.topic, current.direction, current.latched) == (CURRENT, Direction.TO_ROS, True)
-    assert all(each.of_parameters and each.layout == plan.layout for each in project.topics)
+    assert all(each.own == "parameters" and each.layout == plan.layout for each in project.topics)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_two_topics_of_one_message() -> None:
         ("a: {type: int}", "did you mean 'integer'?"),
         ("a.b: {type: bool}\n    a_b: {type: bool}", "a_b and a.b would both be a_b in the PLC"),
         ("a: {type: bool}\n  task: Fast", "there is no task 'Fast'"),
-        ("a: {type: bool}\ntopics: {/parameters/wanted: {type: std_msgs/msg/Bool, to: plc}}", "an object of"),
+        ("a: {type: bool}\ntopics: {/parameters/wanted: {type: std_msgs/msg/Bool, to: plc}}", "the bridge itself has"),
     ],
 )
 def test_refusals(declared: str, words: str) -> None:
