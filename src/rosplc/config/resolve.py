@@ -178,10 +178,10 @@ def resolve(config: Config) -> Project:
         if entry.classic is not None:
             name = entry.classic.name or classic_name(topic)
         if name in names:
-            what = f"{topic} and {names[name]} both become {name}"
+            key, what = where, f"{topic} and {names[name]} both become {name}"
             if own and topic in settings.topics:
-                where, what = ("topics", topic), f"the bridge itself has {topic} for the PLC"
-            problems.wrong(config.source, where, what, "", "CFG007")
+                key, what = ("topics", topic), f"the bridge itself has {topic} for the PLC"
+            problems.wrong(config.source, key, what, "", "CFG007")
         names[name] = topic
         task = config.task(entry.task, (*where, "task"), problems)
         layout = _layout(config, store, topic, entry, problems)
