@@ -1,4 +1,4 @@
-"""Build the C core, and shorten the readme for the package index; everything else is in pyproject.toml.
+"""Build what is in C, and shorten the readme for the package index; everything else is in pyproject.toml.
 
 The limited API has buffers from Python 3.11 on, so one abi3 build serves 3.11 and
 later, and 3.10 gets a build of its own.
@@ -11,7 +11,11 @@ from pathlib import Path
 from setuptools import Extension, setup
 
 ABI3 = sys.version_info >= (3, 11)
-SOURCES = ["module.c", "py_channel.c", "py_writer.c", "py_reader.c", "py_plan.c", "py_group.c"]
+CORE = ["module.c", "py_channel.c", "py_writer.c", "py_reader.c", "py_plan.c", "py_group.c", "py_sink.c"]
+EXTENSIONS = {
+    "rosplc._core._native": [f"src/rosplc/_core/{name}" for name in CORE],
+    "rosplc.ros.dds._batch": ["src/rosplc/ros/dds/batch.c"],
+}
 
 
 def readme() -> str:
@@ -26,14 +30,15 @@ setup(
     long_description_content_type="text/markdown",
     ext_modules=[
         Extension(
-            "rosplc._core._native",
-            sources=[f"src/rosplc/_core/{name}" for name in SOURCES],
-            include_dirs=["src/rosplc/include"],
+            name,
+            sources=sources,
+            include_dirs=["src/rosplc/include", "src/rosplc/_core"],
             depends=sorted(map(str, Path("src/rosplc").glob("**/*.h"))),
             define_macros=[("Py_LIMITED_API", "0x030B0000")] if ABI3 else [],
             extra_compile_args=["-std=gnu11", "-O2", "-Wall", "-Wextra", "-fvisibility=hidden"],
             py_limited_api=ABI3,
         )
+        for name, sources in EXTENSIONS.items()
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}} if ABI3 else {},
 )

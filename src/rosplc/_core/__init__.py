@@ -5,6 +5,7 @@ from rosplc._core._native import Group as Group
 from rosplc._core._native import Plan as Plan
 from rosplc._core._native import Reader as Reader
 from rosplc._core._native import Region as Region
+from rosplc._core._native import Sink as Sink
 from rosplc._core._native import SlotInfo as SlotInfo
 from rosplc._core._native import Writer as Writer
 from rosplc._core._native import check_identity as check_identity

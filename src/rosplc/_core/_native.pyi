@@ -221,6 +221,30 @@ def distance(a: int, b: int, slot_count: int, /) -> int:
 def next_sequence(s: int, slot_count: int, /) -> int:
     """Return the sequence after s (section 7.1)."""
 
+# ---- py_sink.c: messages from another extension module
+
+@final
+class Sink:
+    """Takes messages for a channel from another extension module, without the GIL; closed at first."""
+
+    def __new__(cls) -> Sink: ...
+    @property
+    def capsule(self) -> object:
+        """A rosplc_sink of sink.h."""
+    @property
+    def messages(self) -> int:
+        """How many messages it has passed on."""
+    @property
+    def truncated(self) -> int:
+        """How many of them were shortened."""
+    @property
+    def last_ns(self) -> int:
+        """Monotonic time of the last one, or of open()."""
+    def open(self, writer: Writer, plan: Plan, truncate: bool, limit_ns: int, /) -> None:
+        """Pass messages on, until one cannot be, or comes after a longer silence (0: any)."""
+    def close(self) -> None:
+        """Pass nothing on any more: none is being passed on when this returns."""
+
 # ---- py_group.c: one call per tick over all channels
 
 @final

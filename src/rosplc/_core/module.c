@@ -5,10 +5,11 @@
 int rosplc_add_channel(PyObject *module); /* py_channel.c */
 int rosplc_add_plan(PyObject *module);    /* py_plan.c */
 int rosplc_add_group(PyObject *module);   /* py_group.c */
+int rosplc_add_sink(PyObject *module);    /* py_sink.c */
 
 static int exec_module(PyObject *module)
 {
-    if (rosplc_add_channel(module) || rosplc_add_plan(module) || rosplc_add_group(module))
+    if (rosplc_add_channel(module) || rosplc_add_plan(module) || rosplc_add_group(module) || rosplc_add_sink(module))
         return -1;
     return 0;
 }

@@ -15,7 +15,7 @@ from rosplc.bridge.stream import Stream
 from rosplc.codec import Fault
 from rosplc.config.resolve import describe
 from rosplc.errors import ChannelError
-from rosplc.shm import Group, OwnedChannel, Peer, Reader, Writer, distance
+from rosplc.shm import Group, OwnedChannel, Peer, Reader, Sink, Writer, distance
 from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
 from rosplc.shm.header import task_name
 
@@ -120,6 +120,26 @@ class ChannelPort(Port, Generic[_U]):
 
 class PortToPlc(ChannelPort[Writer]):
     """A channel that the bridge writes."""
+
+    def __init__(self, side: Stream, context: Context) -> None:
+        super().__init__(side, context)
+        self.sink = Sink()
+
+    def open_sink(self, limit_ns: int) -> None:
+        """Let messages pass into the channel."""
+        if (writer := self.user) is not None:
+            with suppress(ValueError):  # closed at this moment
+                self.sink.open(writer, self.side.codec.plan, self.side.plan.truncate, limit_ns)
+
+    def close(self) -> None:
+        """Leave the object with its last state."""
+        self.sink.close()
+        super().close()
+
+    def retire(self) -> None:
+        """Give the object up: its users are told, and its name is free."""
+        self.sink.close()
+        super().retire()
 
     def _claim(self, channel: OwnedChannel) -> Writer:
         writer = channel.writer(self._context.beat_ms)

@@ -124,6 +124,7 @@ class Bridge:
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
+        self._warnings += getattr(self.backend, "warnings", ())
         self._check_types(self.backend)
         duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
         own = self._own = OwnTopics(

@@ -38,6 +38,11 @@ class Silence:
             self._settled_ns = now_ns + self._debounce_ns
         return True
 
+    def passed(self, last_ns: int) -> None:
+        """Note when the last message came in that no :meth:`heard` told of; each was within the limit."""
+        if self.last_ns is not None and last_ns > self.last_ns:
+            self.last_ns = self._since_ns = last_ns
+
     def excuse(self, now_ns: int) -> None:
         """Expect the source to send from now on only: somebody else has heard it meanwhile."""
         self._since_ns = now_ns

@@ -125,6 +125,8 @@ class Port(Protocol):
 
     adopted: bool  # whether :meth:`open` found an object and kept it; never asked before that
     side: Stream
+    # What takes messages without Python while it is open: its own towards the PLC, else the publisher's.
+    sink: Any = None
 
     def open(self) -> None:
         """Create or adopt the object, and claim it; SHM116 if another bridge holds its name."""
@@ -147,6 +149,10 @@ class Port(Protocol):
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
         """Convert a message and give it to the PLC, now or soon; every outcome is told to the stream."""
         raise ChannelError("SHM110", "only the PLC writes towards ROS", where=self.side.plan.topic)
+
+    def open_sink(self, limit_ns: int) -> None:
+        """Let the sink take what comes next; a silence of more than ``limit_ns`` (0: any) closes it."""
+        return
 
     def owned(self) -> bool:
         """Return whether this bridge still is the one that carries the object; towards ROS."""

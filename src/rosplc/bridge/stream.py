@@ -17,7 +17,7 @@ from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import TopicPlan
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.layout import compute_layout
-from rosplc.ros import Backend, EndpointStatus, OnMessage, Publisher, Qos, Subscription
+from rosplc.ros import Backend, EndpointStatus, OnMessage, Publisher, Qos, Sink, Subscription
 from rosplc.shm import Direction
 from rosplc.shm.constants import FLAG_FIRST, STAMP_SYSTEM
 
@@ -38,6 +38,7 @@ class Stream(Notes, ABC):
         self.codec = Codec(plan.layout)
         self.counters = Counters()
         self._endpoint: Subscription | Publisher | None = None
+        self._sink: Sink | None = None  # what passes messages on without this
         self._now = context.clock.monotonic_ns
         now = self._now()
         # since when its source has been silent
@@ -98,8 +99,9 @@ class Stream(Notes, ABC):
         # Never calls the ROS side, which may hang while the beats continue.
         since, count = self._rate_from
         if now_ns - since >= 500_000_000:
-            self._rate = (self.counters.received - count) * 1e9 / (now_ns - since)
-            self._rate_from = (now_ns, self.counters.received)
+            received = self.counters.received + self._passed()
+            self._rate = (received - count) * 1e9 / (now_ns - since)
+            self._rate_from = (now_ns, received)
         try:
             return self.port.check(now_ns)
         except (ChannelError, ValueError, OSError) as error:
@@ -143,8 +145,24 @@ class Stream(Notes, ABC):
         """A message has reached the PLC."""
         raise NotImplementedError
 
+    def _passed(self) -> int:
+        """Return how many messages went past this, and note when the last did."""
+        if (sink := self._sink) is None:
+            return 0
+        self.silence.passed(sink.last_ns)
+        return sink.messages
+
+    def _open_sink(self, opens: Any) -> None:
+        """Let the next messages go past this, where nothing looks at each of them."""
+        if self._sink is not None and self._plain():
+            opens.open_sink(self.plan.stale_after_ns)
+
+    def _plain(self) -> bool:
+        return not self.hold.stages and not self.plan.print
+
     def _came(self, now_ns: int) -> bool:
         """Count a message; return whether its source was stale before it."""
+        self._passed()
         self.counters.received += 1
         recovered = self.silence.heard(now_ns)
         self.counters.recovered += recovered
@@ -178,8 +196,12 @@ class Stream(Notes, ABC):
 
     def status(self, now_ns: int) -> TopicStatus:
         """Return the stream's present state."""
+        passed = self._passed()
         plan, silence, endpoint, port = self.plan, self.silence, self.endpoint(), self.port.status(now_ns)
         found = vars(port) | vars(self.counters) | {"lost": self._lost(endpoint, port.lost)}
+        for name in ("received", "published"):
+            found[name] += passed
+        found["truncated"] += getattr(self._sink, "truncated", 0)
         found["skipped"] += self.hold.skipped
         if endpoint is not None:
             found["refused"] += endpoint.rejected
@@ -214,6 +236,9 @@ class ToPlc(Stream):
     def _connect(self, backend: Backend) -> None:
         plan = self.plan
         self._endpoint = backend.subscribe(plan.topic, plan.type_name, plan.qos, self.on_message)
+        divert: Callable[[Sink], bool] | None = getattr(self._endpoint, "divert", None)
+        if divert is not None and self.port.sink is not None and divert(self.port.sink):
+            self._sink = self.port.sink
 
     def begin(self, now_ns: int) -> None:
         """The next message is marked as the first."""
@@ -228,6 +253,10 @@ class ToPlc(Stream):
             self._send(data, stamp_ns, now)
         elif self.hold.offer((data, stamp_ns), now):
             self._on_due()
+        if self._sink is not None and not self._first:
+            self._open_sink(self.port)
+            if self._first:  # from another thread meanwhile
+                self._sink.close()
 
     def _send(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
         self.port.put(data, stamp_ns, FLAG_FIRST if self._first else 0, now_ns)
@@ -254,6 +283,8 @@ class ToPlc(Stream):
     def _tell(self, matched: int) -> None:
         if not matched:
             self._first = True  # the next publisher is another source, or the same one back again
+            if self._sink is not None:
+                self._sink.close()
         super()._tell(matched)
 
 

@@ -29,6 +29,7 @@ from rosplc.ros.backend import (
     Reply,
     ServiceClient,
     ServiceServer,
+    Sink,
     Subscription,
     TypeSource,
     ended_for_good,
@@ -41,7 +42,8 @@ __all__ = [
     "BACKENDS", "DEFAULT", "INSTALL", "LATCHED", "PRESETS", "ROS1", "SENSOR_DATA", "SERVICES",
     "ActionClient", "ActionServer", "Backend", "Choice", "Endpoint", "EndpointInfo", "EndpointStatus",
     "GoalEvent", "GoalStatus", "GraphInfo", "OnMessage", "OnReply", "OnRequest", "Publisher", "Qos",
-    "Remapping", "Reply", "RosArguments", "ServiceClient", "ServiceServer", "Subscription", "TypeSource",
+    "Remapping", "Reply", "RosArguments", "ServiceClient", "ServiceServer", "Sink", "Subscription",
+    "TypeSource",
     "action_classes", "choose", "ended_for_good", "incompatibility", "open_backend", "settled_graph",
     "split_arguments",
 ]  # fmt: skip

@@ -179,6 +179,7 @@ class BaseEndpoint:
     peer_does: str  # what a node does that this endpoint exchanges messages with
     kind: str
     serves = False  # whether it belongs to a service
+    sink: backend.Sink | None = None  # what passes messages on without Python
 
     def __init__(self, node: Any, topic: str, type_name: str, qos: backend.Qos, type_hash: str = "") -> None:
         self.topic, self.type_name, self.qos, self.type_hash = topic, type_name, qos, type_hash
@@ -221,9 +222,13 @@ class BaseEndpoint:
         else:
             code, reason = self._problem()
             matched, losses, late = self.matched, self._losses(), self._late()
+        messages, last_ns = self._messages, self._last_ns
+        if (sink := self.sink) is not None and sink.messages:
+            messages += sink.messages
+            last_ns = max(last_ns, self._clock.time_ns() - self._clock.monotonic_ns() + sink.last_ns)
         return backend.EndpointStatus(
-            self.topic, self.type_name, self.direction, matched, self._messages, self._dropped + losses,
-            self._rejected + self._unfit(), self._failed, self._last_ns, reason, code, late,
+            self.topic, self.type_name, self.direction, matched, messages, self._dropped + losses,
+            self._rejected + self._unfit(), self._failed, last_ns, reason, code, late,
         )  # fmt: skip
 
     def reject(self, error: object) -> None:
@@ -265,6 +270,8 @@ class BaseEndpoint:
                 return
             self.closed = True
         self._node.forget(self)
+        if self.sink is not None:
+            self.sink.close()
 
 
 class BaseSubscription(BaseEndpoint):

@@ -162,6 +162,31 @@ class GraphInfo:
     services: tuple[EndpointInfo, ...] = ()
 
 
+class Sink(Protocol):
+    """What takes messages from C to C while it is open; one that it does not take closes it, and is Python's.
+
+    ``_core/sink.h`` describes the capsule. A message also closes it that comes after the silence that Python
+    is to know of. A backend that works in C has more than the protocols say: its subscriptions have a method
+    ``divert(sink)``, which gives a sink what it takes in place of ``on_message`` and returns whether it can,
+    its publishers an attribute ``sink`` (or None) and a method ``open_sink(limit_ns)``.
+    """
+
+    @property
+    def capsule(self) -> object:
+        """What another extension module puts messages into."""
+
+    @property
+    def messages(self) -> int:
+        """How many it has taken."""
+
+    @property
+    def last_ns(self) -> int:
+        """Monotonic time of the last one, or of its opening."""
+
+    def close(self) -> None:
+        """Take nothing any more."""
+
+
 class Endpoint(Protocol):
     """What subscriptions, publishers, servers and clients have in common."""
 

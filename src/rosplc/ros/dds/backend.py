@@ -28,6 +28,8 @@ from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem, domain_number
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.dds import native
+from rosplc.ros.dds._batch import Inlet
+from rosplc.ros.dds.batches import obstacle
 from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription, Endpoint
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, service_topics
 from rosplc.ros.dds.native import TRACING, library_log
@@ -281,9 +283,9 @@ class DdsBackend(BaseNode):
         self._types = IdlTypes(store)
         self._changed = False
         self._readers: dict[int, Any] = {}  # by their keys in the waitset
+        self._keys = itertools.cycle(range(_FIRST, 1 << 16))
         self._service_ids = itertools.count(1)
         self._hurried: deque[DdsServer] = deque()  # those whose responses wait
-        self._next_key = _FIRST
         self._suspects: dict[str, int] = {}
         self.domain = domain_id(context.domain, environment)
         check_peers(environment, store.distro)
@@ -307,7 +309,10 @@ class DdsBackend(BaseNode):
         names = (self._namespace, self._node_name, self._store.distro)
         self._announcer = Announcer(self._participant, self._topics, guid, *names, dds_qos)
         self.peers = PeerTable(self._participant, guid)
-        self._waitset = native.WaitSet(self._participant._ref)
+        with TYPES:
+            self.warnings = (*filter(None, [obstacle()]),)  # for the bridge's status
+        self._inlet = None if self.warnings else Inlet()
+        self._waitset = native.WaitSet(self._participant._ref, self._inlet)
         for key, reader in enumerate(self.peers.readers):
             self._waitset.attach(reader._ref, key)
         self._waitset.attach(self._announcer.reader, _ANNOUNCEMENTS)
@@ -380,9 +385,21 @@ class DdsBackend(BaseNode):
         self._suspects.setdefault(endpoint.dds_topic, self.clock.monotonic_ns())
         endpoint.review()
         if not isinstance(endpoint, DdsPublisher):
-            self._readers[self._next_key] = endpoint
-            endpoint.condition = self._waitset.attach(endpoint.reader_ref, self._next_key)
-            self._next_key += 1
+            # Not soon again that of one that was closed, whose messages may be on their way here.
+            endpoint.key = next(key for key in self._keys if key not in self._readers)
+            self._readers[endpoint.key] = endpoint
+            endpoint.condition = self._waitset.attach(endpoint.reader_ref, endpoint.key)
+
+    def route(self, subscription: DdsSubscription) -> bool:
+        """Lead messages to a subscription's sink, unless some are of strangers; return if there is a way."""
+        with self._lock:
+            if self._inlet is None or not subscription.condition or subscription.closed:
+                return False
+            if (sink := subscription.sink) is not None and not subscription.strangers:
+                self._inlet.add(subscription.key, subscription.reader_ref, sink.capsule)
+            else:
+                self._inlet.remove(subscription.key)
+            return True
 
     def forget(self, endpoint: Endpoint) -> None:
         """Take in that an endpoint is being closed."""
@@ -391,6 +408,8 @@ class DdsBackend(BaseNode):
             if endpoint.condition:
                 self._readers = {key: one for key, one in self._readers.items() if one is not endpoint}
                 self._waitset.detach(endpoint.condition)
+                if self._inlet is not None:
+                    self._inlet.remove(endpoint.key)
             for pair in [pair for pair in self._since if pair[0] == endpoint.guid]:  # type: ignore[index]
                 del self._since[pair]
             self._changed = True
@@ -415,7 +434,8 @@ class DdsBackend(BaseNode):
         next_tick = 0
         while not self._closed:
             try:
-                for key in sorted(wait(_SHORT_NS if self._hurried else _TICK_NS)):  # peers before messages
+                keys, left = wait(_SHORT_NS if self._hurried else _TICK_NS)
+                for key in sorted(keys):  # peers before messages
                     if key >= _FIRST:
                         if (endpoint := self._readers.get(key)) is not None:
                             endpoint.take()
@@ -426,6 +446,9 @@ class DdsBackend(BaseNode):
                             self._announcer.forget(participant)
                     else:
                         self._look(key)
+                for key, payload, stamp_ns in left:
+                    if isinstance(receiver := self._readers.get(key), DdsSubscription):
+                        receiver.deliver(payload, stamp_ns)
                 if self.peers.left:
                     self._part()
                 for _ in range(len(self._hurried)):

@@ -8,9 +8,11 @@ from typing import Any
 from cyclonedds._clayer import ddspy_take, ddspy_write, ddspy_write_ts
 
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Problem, differs
-from rosplc.ros.backend import OnMessage
+from rosplc.ros.backend import OnMessage, Sink
 from rosplc.ros.buffers import default_buffer, largest_message
 from rosplc.ros.dds import native
+from rosplc.ros.dds._batch import Outlet
+from rosplc.ros.dds.batches import obstacle
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.ros.dds.native import library_log
 
@@ -24,7 +26,7 @@ class Endpoint(BaseEndpoint):
         super().__init__(*arguments)
         self.guid: bytes = entity.guid.bytes
         self.guids = {self.guid: self.direction == "in"}  # of its entities → whether it is a reader
-        self.condition = 0  # set by the backend when the receive thread watches the reader
+        self.key = self.condition = 0  # set by the backend when the receive thread watches the reader
         self.dds_topic, self._received_topic = self._names()
         self.ref: int = entity._ref
         self.reader_ref = self.ref
@@ -86,6 +88,12 @@ class DdsSubscription(BaseSubscription, Endpoint):
             for peer in self._node.peers.on(self.dds_topic, "out")
             if differs(peer.info.type_hash, self.type_hash)
         )
+        self._node.route(self)
+
+    def divert(self, sink: Sink) -> bool:
+        """Give the sink what comes; see :class:`rosplc.ros.backend.Sink`."""
+        self.sink = sink
+        return bool(self._node.route(self))
 
     def _matched(self) -> int:
         """Publishers whose messages are delivered; with a lease, those that show that they live."""
@@ -94,6 +102,12 @@ class DdsSubscription(BaseSubscription, Endpoint):
             # Its strangers may be among those alive: at most as many as match.
             return min(matched, native.alive_count(self.ref))
         return matched
+
+    def deliver(self, payload: bytes, stamp_ns: int) -> None:
+        """Deliver what the sink did not take; called by the receive thread alone."""
+        with self._lock:
+            if not self.closed:
+                self._deliver(payload, stamp_ns)
 
     def take(self) -> None:
         """Deliver what has arrived; called by the receive thread alone."""
@@ -132,6 +146,13 @@ class DdsPublisher(BasePublisher, Endpoint):
         super().__init__(*arguments)
         self._buffer = default_buffer()
         self._large = largest_message(self._buffer) or sys.maxsize
+        self._outlet = None if obstacle() else Outlet(self.ref)
+        self.sink = self._outlet
+
+    def open_sink(self, limit_ns: int) -> None:
+        """Let messages pass; see :class:`rosplc.ros.backend.Sink`."""
+        if self._outlet is not None and not self.closed:
+            self._outlet.open(self._large, limit_ns)
 
     def _late(self) -> int:
         return native.offered_deadline_missed(self.ref) if self.qos.deadline_ns else 0

@@ -12,13 +12,14 @@ import os
 import re
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from cyclonedds.core import DDSException, Entity, InstanceState, SampleState, ViewState
 from cyclonedds.internal import DDS, dds_c_t
 
 from rosplc.errors import BackendError
+from rosplc.ros.dds._batch import Inlet
 
 ANY_STATE: int = int(SampleState.Any | ViewState.Any | InstanceState.Any)
 RETCODE_TIMEOUT: int = DDSException.DDS_RETCODE_TIMEOUT
@@ -119,10 +120,11 @@ class WaitSet:
     status: a status is cleared by any take, so a take with a limit would leave messages lying.
     """
 
-    def __init__(self, participant: int) -> None:
-        self._ref = _checked(_create_waitset(participant), "cannot create a waitset")
+    def __init__(self, participant: int, inlet: Inlet | None = None) -> None:
+        self._inlet = inlet
+        self.ref = _checked(_create_waitset(participant), "cannot create a waitset")
         self._guard = _checked(_create_guard(participant), "cannot create a guard condition")
-        _checked(_attach(self._ref, self._guard, -1), "cannot attach a guard condition")
+        _checked(_attach(self.ref, self._guard, -1), "cannot attach a guard condition")
         self._room = 64
         self._keys = (ct.c_ssize_t * self._room)()
         self._attached = 1
@@ -130,13 +132,13 @@ class WaitSet:
     def attach(self, reader: int, key: int) -> int:
         """Watch a reader under a key (0 or more); return the condition, for :meth:`detach`."""
         condition = _checked(_create_readcondition(reader, ANY_STATE), "cannot create a read condition")
-        _checked(_attach(self._ref, condition, key), "cannot attach a reader")
+        _checked(_attach(self.ref, condition, key), "cannot attach a reader")
         self._attached += 1
         return condition
 
     def detach(self, condition: int) -> None:
         """Stop watching and delete the condition."""
-        _detach(self._ref, condition)
+        _detach(self.ref, condition)
         _delete(condition)
         self._attached -= 1
 
@@ -144,23 +146,29 @@ class WaitSet:
         """Make the present or the next :meth:`wait` return at once."""
         _set_guard(self._guard, True)
 
-    def wait(self, timeout_ns: int) -> list[int]:
-        """Sleep until a reader has data, :meth:`wake` is called, or the time is over; return the keys."""
-        if self._attached > self._room:
-            self._room = 2 * self._attached
-            self._keys = (ct.c_ssize_t * self._room)()
-        count = _wait(self._ref, self._keys, self._room, timeout_ns)
-        if count <= 0:
-            return []
-        keys: list[int] = self._keys[: min(count, self._room)]
+    def wait(self, timeout_ns: int) -> tuple[list[int], Iterable[tuple[int, bytes, int]]]:
+        """Sleep until a reader has data, :meth:`wake` is called, or the time is over.
+
+        Return the keys of what is ready, and what the inlet's sinks did not take: key, payload, stamp.
+        """
+        keys: list[int] = []
+        left: Iterable[tuple[int, bytes, int]] = ()
+        if self._inlet is not None:
+            keys, left = self._inlet.wait(self.ref, self._attached, timeout_ns)
+        else:
+            if self._attached > self._room:
+                self._room = 2 * self._attached
+                self._keys = (ct.c_ssize_t * self._room)()
+            if (count := _wait(self.ref, self._keys, self._room, timeout_ns)) > 0:
+                keys = self._keys[: min(count, self._room)]
         if -1 in keys:
             _take_guard(self._guard, ct.byref(ct.c_bool()))
             keys.remove(-1)
-        return keys
+        return keys, left
 
     def close(self) -> None:
         """Delete the waitset; nothing may be waiting any more."""
-        _delete(self._ref)
+        _delete(self.ref)
         _delete(self._guard)
 
 
