@@ -135,14 +135,11 @@ def write_program(folder: Path, plan: Plan) -> tuple[Project, str]:
     topics |= {f"{_TAKEN}{topic}": {**topics[topic], "to": "ros"} for topic in kinds}
     topics[_DRIVE] = {"type": "std_msgs/msg/Bool", "to": "plc"}
     (folder / _CONFIGURATION).write_text(json.dumps(configuration), encoding="utf-8")
-    names = instance_names(list(kinds))
     program = render(
         "openplc/demo.st",
         steer=(Path(__file__).parent / "st/Demo_Steer.st").read_text(encoding="ascii"),
-        flows=[
-            {"topic": topic, "name": names[topic], "dut": kind.type_name.replace("/msg/", "_")}
-            for topic, kind in kinds.items()
-        ],
+        kinds=kinds,
+        names=instance_names(list(kinds)),
         command=COMMAND[0],
         drive=_DRIVE,
         taken=_TAKEN,
