@@ -13,6 +13,7 @@ import random
 import re
 import subprocess
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -119,20 +120,24 @@ END_PROGRAM
 @pytest.fixture
 def project(tmp_path: Path, shm_namespace: Namespace) -> Project:
     """Give a configuration with a message that has every kind of field, both ways."""
+    return load_project(kinds(tmp_path, shm_namespace, "there", "back"))
+
+
+def kinds(tmp_path: Path, shm_namespace: Namespace, *topics: str) -> Path:
+    """Write a configuration with topics, of which those that end with "back" go to ROS."""
     folder = tmp_path / "kinds" / "msg"
     folder.mkdir(parents=True)
     (folder / "Part.msg").write_text(PART)
     (folder / "All.msg").write_text(KINDS)
     (tmp_path / "kinds" / "package.xml").write_text("<package><name>kinds</name></package>")
     limits = "limits: {string: 20, sequence: 3, long: 200, 'longs[]': 150}"
-    text = f"""prefix: {shm_namespace.prefix}
-types: {{paths: [kinds]}}
-topics:
-  /there: {{type: kinds/msg/All, to: plc, {limits}}}
-  /back: {{type: kinds/msg/All, to: ros, {limits}}}
-"""
-    (tmp_path / "rosplc.yaml").write_text(text)
-    return load_project(tmp_path / "rosplc.yaml")
+    text = f"prefix: {shm_namespace.prefix}\ntypes: {{paths: [kinds]}}\ntopics:\n"
+    for topic in topics:
+        to = "ros" if topic.endswith("back") else "plc"
+        text += f"  /{topic}: {{type: kinds/msg/All, to: {to}, {limits}}}\n"
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(text)
+    return path
 
 
 def translated(program: str) -> str:
@@ -394,6 +399,83 @@ def test_every_kind_of_field_crosses(
     finally:
         for channel in channels:
             channel.close()
+
+
+def two_tasks(project: Project, folder: Path, right: str = "", wrong: str = "") -> Path:
+    """Build the host with two tasks for ThreadSanitizer, with one text of the blocks' header for another."""
+    rosplc.generate(project, folder, plc="openplc")
+    by_stand_in(folder, PROGRAM)
+    generated = folder / "generated"
+    header = generated / "rosplc_openplc.hpp"
+    assert right in header.read_text()
+    if right:
+        header.write_text(header.read_text().replace(right, wrong))
+    # It knows no fences, which the channels' rules between processes need.
+    options = [*FLAGS, "-g", "-fsanitize=thread", "-Wno-tsan", f"-I{generated}", f"-I{HERE}"]
+    sources = [*sorted(generated.glob("*.cpp")), HERE / "openplc_tasks.cpp"]
+    command = ["g++", *options, *map(str, sources), "-o", str(folder / "tasks")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder / "tasks"
+
+
+@pytest.mark.timeout(300)
+def test_two_tasks_share_nothing_unguarded(tmp_path: Path, shm_namespace: Namespace) -> None:
+    """ThreadSanitizer sees no race between two tasks that pass messages on with blocks of the same types."""
+    project = load_project(kinds(tmp_path, shm_namespace, "there", "back", "slow_there", "slow_back"))
+    program = two_tasks(project, tmp_path / "plc")
+    codec = Codec(project.topics[0].layout, Wire.CDR)
+    draw = random.Random(15)
+    sent = [codec.encode(random_record(codec.layout, draw)) for _ in range(100)]
+    with ExitStack() as stack:
+        channels = {}
+        for plan in project.topics:
+            about = description_of(plan.layout, plan.topic, plan.direction, bridge="test")
+            opened = OwnedChannel.open(shm_namespace, about, record_size=plan.layout.size, slots=128)
+            channels[plan.topic] = stack.enter_context(closing(opened))
+        ways = {
+            way: (
+                channels[f"/{way}there"],
+                channels[f"/{way}there"].writer(),
+                channels[f"/{way}back"].reader(),
+            )
+            for way in ("", "slow_")
+        }
+        child = subprocess.Popen([str(program), str(len(sent))], stderr=subprocess.PIPE, text=True)
+        stack.callback(child.kill)
+        for channel, _, _ in ways.values():
+            wait_for(lambda channel=channel: any(r.claim for r in channel.snapshot().readers), "a claim")
+        for wire in sent:
+            for _, writer, _ in ways.values():
+                writer.publish_wire(codec.plan, wire)
+        for _, _, reader in ways.values():
+            for wire in sent:
+                assert wait_for(lambda reader=reader: reader.next_wire(codec.plan), "a message")[0] == wire
+        _, told = child.communicate(timeout=200)
+    assert (child.returncode, told) == (0, "")
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("thread_local rosplc_pace", "static rosplc_pace"),
+        ("std::memory_order_release", "std::memory_order_relaxed"),
+    ],
+)
+def test_a_race_of_two_tasks_is_seen(right: str, wrong: str, project: Project, tmp_path: Path) -> None:
+    """So is what they would do wrong with one pace for both, or a list without order."""
+    program = two_tasks(project, tmp_path / "plc", right, wrong)
+    done = subprocess.run(
+        [program, "1"],
+        env={"TSAN_OPTIONS": "halt_on_error=1"},
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    assert done.returncode
+    assert "ThreadSanitizer: data race" in done.stderr
 
 
 @pytest.mark.timeout(300)
