@@ -7,13 +7,13 @@ set has taken effect when the PLC's message shows its number.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
+from pydantic import Field, StrictBool, StrictInt, StrictStr, TypeAdapter, ValidationError
 
 from rosplc.config.file import Config
 from rosplc.config.settings import ParameterSettings
@@ -26,18 +26,13 @@ from rosplc.ros.parameters import Parameter
 WANTED, CURRENT = "/parameters/wanted", "/parameters/current"  # as the objects' names have them
 TYPE = "rosplc_parameters/msg/Set"
 _SEPARATOR = "=" * 80
-_FIELD_TYPES = {
-    "bool": "bool", "integer": "int64", "double": "float64", "string": "string",
-    "byte_array": "byte[]", "bool_array": "bool[]", "integer_array": "int64[]",
-    "double_array": "float64[]", "string_array": "string[]",
-}  # fmt: skip
-_PLAIN: dict[str, tuple[type, ...]] = {
-    "bool": (bool,), "integer": (int,), "double": (int, float), "string": (str,), "byte": (int,)
-}  # fmt: skip
-_LARGEST = {
-    "integer": (-(2**63), 2**63 - 1),
-    "double": (-sys.float_info.max, sys.float_info.max),  # neither infinite nor no number
-    "byte": (0, 255),
+# Kind of a parameter, or of an array's elements → the field's type in ROS, and what is taken of YAML.
+_KINDS: dict[str, tuple[str, Any]] = {
+    "bool": ("bool", StrictBool),
+    "integer": ("int64", Annotated[StrictInt, Field(ge=-(2**63), lt=2**63)]),
+    "double": ("float64", Annotated[float, Field(strict=True, allow_inf_nan=False)]),
+    "string": ("string", StrictStr),
+    "byte": ("byte", Annotated[StrictInt, Field(ge=0, le=255)]),
 }
 
 
@@ -83,7 +78,7 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
     task = config.task(asked.task, ("parameters", "task"), problems)
     if len(problems) > found:
         return None
-    lines = (f"{_FIELD_TYPES[each.kind]} {fields[each.name]}\n" for each in declared)
+    lines = (f"{_field_type(each.kind)} {fields[each.name]}\n" for each in declared)
     text = f"uint64 number\nValues values\n{_SEPARATOR}\nMSG: rosplc_parameters/Values\n{''.join(lines)}"
     try:
         layout = compute_layout(store.with_definition(TYPE, text), TYPE, Limits(fields=capacities))
@@ -91,6 +86,10 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
         problems.move(error, config.source, key)
         return None
     return ParametersPlan(tuple(declared), fields, asked.initial, task, layout)
+
+
+def _field_type(kind: str) -> str:
+    return _KINDS[kind.removesuffix("_array")][0] + "[]" * kind.endswith("_array")
 
 
 def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> Parameter:
@@ -121,18 +120,14 @@ def _fitting(parameter: Parameter, value: Any) -> Any:
 
 def _converted(kind: str, value: Any) -> Any:
     """Return a value of YAML as one of a kind of parameters; ValueError with words if it is none."""
-    if kind.endswith("_array"):
-        if not isinstance(value, list):
-            raise ValueError(f"{value!r} is no list, as {kind} is")
-        found = [_converted(kind.removesuffix("_array"), each) for each in value]
-        return bytes(found) if kind == "byte_array" else found
-    fits = isinstance(value, _PLAIN[kind]) and isinstance(value, bool) is (kind == "bool")
-    if fits and kind in _LARGEST:
-        least, greatest = _LARGEST[kind]
-        fits = least <= value <= greatest
-    if not fits:
-        raise ValueError(f"{value!r} is no {kind}")
-    return float(value) if kind == "double" else value
+    element = kind.removesuffix("_array")
+    wanted: Any = _KINDS[element][1]
+    try:
+        found: Any = TypeAdapter(wanted if element == kind else list[wanted]).validate_python(value)
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        raise ValueError(f"{wrong['input']!r} is no {element if wrong['loc'] else kind}") from None
+    return bytes(found) if kind == "byte_array" else found
 
 
 def given_values(arguments: Iterable[str], node: str, declared: Iterable[Parameter]) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def test_two_topics_of_one_message() -> None:
         ("a: {type: integer, value: 9223372036854775808}", "is no integer"),
         ("a: {type: double, value: .nan}", "'.nan' is no double"),
         ("a: {type: byte_array, value: [256]}", "256 is no byte"),
-        ("a: {type: string_array, value: b}", "'b' is no list"),
+        ("a: {type: string_array, value: b}", "'b' is no string_array"),
         ("a: {type: string, value: longer, length: 3}", "a has room for 3 bytes of text"),
         ("a: {type: int}", "did you mean 'integer'?"),
         ("a.b: {type: bool}\n    a_b: {type: bool}", "a_b and a.b would both be a_b in the PLC"),
