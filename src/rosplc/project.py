@@ -310,7 +310,7 @@ def _service_facts(plan: ServicePlan) -> dict[str, Any]:
         "depth": plan.depth if at_plc else None,
         "per_client": plan.per_client if at_plc else None,
         "min_interval_ms": plan.min_interval_ns / 1e6,
-        "expire_after_ms": plan.expire_ns / 1e6 if at_plc else None,
+        "expire_after_ms": plan.expire_after_ns / 1e6 if at_plc else None,
         "fallback": None if plan.fallback is None else plan.response.to_dict(plan.fallback),
     }
 
@@ -320,7 +320,7 @@ def _action_facts(plan: ActionPlan) -> dict[str, Any]:
     return {
         "on_new_goal": plan.on_new_goal if at_plc else None,
         "queue": plan.queue if at_plc else None,
-        "accept_within_ms": plan.accept_ns / 1e6 if at_plc else None,
+        "accept_within_ms": plan.accept_within_ns / 1e6 if at_plc else None,
         "keep_result_ms": plan.keep_result_ns / 1e6 if at_plc else None,
         "when_plc_down": None if at_plc else plan.when_plc_down,
     }

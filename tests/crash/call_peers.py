@@ -210,7 +210,7 @@ def _sabotage(what: str, folder: Path) -> None:
         begin = Use.begin
 
         def for_ever(self: Any, now_ns: int) -> None:
-            for limit in {"expire_ns", "accept_ns"}.intersection(vars(self.plan)):
+            for limit in {"expire_after_ns", "accept_within_ns"}.intersection(vars(self.plan)):
                 object.__setattr__(self.plan, limit, 10**12)
             begin(self, now_ns)
 

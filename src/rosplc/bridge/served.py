@@ -147,7 +147,7 @@ class Served(Calling):
             call = self._waiting[0]
             if self._down:
                 self._end(self._waiting.popleft(), "not executed", Reason.PLC_DOWN, now_ns)
-            elif now_ns - call.arrived_ns > self.plan.expire_ns:
+            elif now_ns - call.arrived_ns > self.plan.expire_after_ns:
                 self._end(self._waiting.popleft(), "not executed", Reason.EXPIRED, now_ns)
             elif self._open_call is not None or now_ns < self._next_ns or not self._peer.alive:
                 return
@@ -229,7 +229,7 @@ class Served(Calling):
         elif call.inherited:
             if waited > _PATIENCE_NS:
                 self._withdraw(call)
-        elif not begun and waited > self.plan.expire_ns:
+        elif not begun and waited > self.plan.expire_after_ns:
             if not self._withdraw(call):
                 self._end(call, "not executed", Reason.EXPIRED, now_ns)
         elif not self._present(call) and not self._withdraw(call):
@@ -565,7 +565,7 @@ class ServedGoals(Calling):
         reason = Reason.NONE
         if self._peer.silent:
             reason = Reason.PLC_DOWN
-        elif now_ns - goal.handed_ns > self.plan.accept_ns:
+        elif now_ns - goal.handed_ns > self.plan.accept_within_ns:
             reason = Reason.EXPIRED
         elif goal.unwanted or not server.present(goal.uuid):
             reason = Reason.CALLER_GONE

@@ -168,7 +168,7 @@ def _queue(plan: ServicePlan | ActionPlan) -> str:
     if plan.server == "ros":
         return "-"
     if isinstance(plan, ServicePlan):
-        return f"{plan.depth} calls, {_time(plan.expire_ns)}"
+        return f"{plan.depth} calls, {_time(plan.expire_after_ns)}"
     return f"{plan.queue} goals" if plan.queue else "1 goal" if plan.on_new_goal == "abort" else "none"
 
 
@@ -215,7 +215,7 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
     yield "too large", "cut" if plan.truncate else "refused and counted"
     if isinstance(plan, ServicePlan) and plan.server == "plc":
         yield "waiting", f"{plan.depth} calls at most, {plan.per_client} of one caller"
-        yield "expires", f"a call that has waited for {_time(plan.expire_ns)}"
+        yield "expires", f"a call that has waited for {_time(plan.expire_after_ns)}"
         if plan.min_interval_ns:
             yield "passes on", f"one call per {plan.min_interval_ns / 1e6:g} ms at most"
         fallback = "nothing" if plan.fallback is None else str(plan.response.to_dict(plan.fallback))
@@ -223,7 +223,7 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
     elif isinstance(plan, ActionPlan) and plan.server == "plc":
         also = {"reject": "is rejected", "abort": "takes its place", "buffer": f"waits, {plan.queue} at most"}
         yield "another goal", also[plan.on_new_goal]
-        yield "undecided", f"rejected after {_time(plan.accept_ns)}"
+        yield "undecided", f"rejected after {_time(plan.accept_within_ns)}"
         yield "result", f"kept for {_time(plan.keep_result_ns)}"
     elif isinstance(plan, ActionPlan):
         down = {"cancel": "the goal is canceled", "keep": "the goal goes on"}

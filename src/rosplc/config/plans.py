@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Literal, TypeVar
 
 from rosplc.config.file import Config
@@ -281,7 +281,7 @@ class ServicePlan(CallPlan):
     depth: int = 16  # calls that wait or are carried out at most
     per_client: int = 4  # the same for each caller
     min_interval_ns: int = 0  # shortest time between two calls that the PLC is given; 0 for no limit
-    expire_ns: int = 5_000_000_000  # a call that has waited for longer is not given to the PLC
+    expire_after_ns: int = 5_000_000_000  # a call that has waited for longer is not given to the PLC
     # the response of a call that the PLC does not answer, as a record; None: there is none
     fallback: bytes | None = None
     qos: Qos = SERVICES  # quality of service on the ROS side
@@ -305,7 +305,7 @@ class ActionPlan(CallPlan):
     # what becomes of a goal that comes while the PLC has one
     on_new_goal: Literal["reject", "abort", "buffer"] = "reject"
     queue: int = 0  # goals that wait at most; 0 unless ``on_new_goal`` is ``buffer``
-    accept_ns: int = 5_000_000_000  # how long the PLC may take to decide on a goal
+    accept_within_ns: int = 5_000_000_000  # how long the PLC may take to decide on a goal
     keep_result_ns: int = 10_000_000_000  # how long a goal and its result are kept after its end
     when_plc_down: Literal["cancel", "keep"] = "cancel"  # what becomes of a goal in ROS whose PLC has gone
 
@@ -339,21 +339,14 @@ def call_plans(config: Config, plan: type[_C], store: TypeStore, problems: Probl
         if len(problems) > found:
             continue
         try:
-            values = _values(config, entry, layouts, path)
+            values = _values(config, plan, entry, layouts, path)
         except RosplcError as error:
             problems.add(error, config.source.line((*path, "fallback")))
             continue
         for client, use in entry.clients.items() or (("", None),):
-            yield plan(
-                **{plan.kind: name},
-                type_name=kind.name,
-                server=entry.server,
-                client=client,
-                task=(use.task if use is not None else None) or entry.task or next(iter(tasks)),
-                truncate=entry.on_overflow == "truncate",
-                **layouts,
-                **values,
-            )
+            values |= {plan.kind: name, "type_name": kind.name, "client": client, **layouts}
+            values["task"] = (use.task if use is not None else None) or entry.task or next(iter(tasks))
+            yield plan(**values, truncate=entry.on_overflow == "truncate")
 
 
 def _contradictions(
@@ -432,23 +425,16 @@ def note_layout_error(
     problems.move(error, config.source, key)
 
 
-def _values(config: Config, entry: _Settings, layouts: Mapping[str, Layout], path: KeyPath) -> dict[str, Any]:
-    """Return what a plan has besides, from settings that do not contradict each other."""
+def _values(
+    config: Config, plan: type[CallPlan], entry: _Settings, layouts: Mapping[str, Layout], path: KeyPath
+) -> dict[str, Any]:
+    """Return what a plan has of settings that do not contradict each other."""
+    known = type(entry).model_fields
+    values = {each.name: getattr(entry, each.name) for each in fields(plan) if each.name in known}
     if isinstance(entry, ActionSettings):
-        return {
-            "on_new_goal": entry.on_new_goal,
-            "queue": (entry.queue or 4) * (entry.on_new_goal == "buffer"),
-            "accept_ns": entry.accept_within_ns,
-            "keep_result_ns": entry.keep_result_ns,
-            "when_plc_down": entry.when_plc_down,
-        }
-    fallback = None
+        return values | {"queue": (entry.queue or 4) * (entry.on_new_goal == "buffer")}
     if entry.fallback is not None:
-        fallback = checked_record(config, entry.fallback, layouts["response"], (*path, "fallback"))
-    return {
-        "depth": entry.depth,
-        "per_client": entry.per_client or max(1, entry.depth // 4),
-        "min_interval_ns": entry.rate_limit_ns or 0,
-        "expire_ns": entry.expire_after_ns,
-        "fallback": fallback,
-    }
+        record = checked_record(config, entry.fallback, layouts["response"], (*path, "fallback"))
+        values["fallback"] = record
+    values["min_interval_ns"] = entry.rate_limit_ns or 0
+    return values | {"per_client": entry.per_client or max(1, entry.depth // 4)}

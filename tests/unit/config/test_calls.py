@@ -36,7 +36,7 @@ def test_a_service_of_the_plc() -> None:
         f"{SET_BOOL}_Response",
     )
     assert (plan.task, plan.depth, plan.per_client) == ("RosTask", 16, 4)
-    assert (plan.min_interval_ns, plan.expire_ns, plan.fallback) == (0, 5 * 10**9, None)
+    assert (plan.min_interval_ns, plan.expire_after_ns, plan.fallback) == (0, 5 * 10**9, None)
     assert (plan.truncate, plan.qos, plan.name) == (False, SERVICES, "service /cell/start")
     assert made.topics == ()
 
@@ -48,7 +48,7 @@ def test_all_keys_of_a_service_of_the_plc() -> None:
         "tasks: {Slow: {}, Fast: {interval: 1ms}}",
     ).services
     assert (plan.type_name, plan.task, plan.depth, plan.per_client) == (SET_BOOL, "Fast", 3, 1)
-    assert (plan.min_interval_ns, plan.expire_ns, plan.truncate) == (10_000_000, 200_000_000, True)
+    assert (plan.min_interval_ns, plan.expire_after_ns, plan.truncate) == (10_000_000, 200_000_000, True)
     assert plan.fallback is not None
     found = plan.response.to_dict(plan.fallback)
     assert found == {"success": False, "message": "down"}
@@ -88,8 +88,8 @@ def test_actions() -> None:
     )
     a, b, *both = made.actions
     assert (a.action, a.type_name, a.server, a.client) == ("/a", FIBONACCI, "plc", "")
-    assert (a.on_new_goal, a.queue, a.accept_ns, a.keep_result_ns) == ("reject", 0, 5 * 10**9, 10**10)
-    assert (b.on_new_goal, b.queue, b.accept_ns, b.keep_result_ns) == ("buffer", 4, 10**9, 2 * 10**9)
+    assert (a.on_new_goal, a.queue, a.accept_within_ns, a.keep_result_ns) == ("reject", 0, 5 * 10**9, 10**10)
+    assert (b.on_new_goal, b.queue, b.accept_within_ns, b.keep_result_ns) == ("buffer", 4, 10**9, 2 * 10**9)
     assert (a.truncate, b.truncate, a.task, a.name) == (False, True, "RosTask", "action /a")
     assert [layout.type_name for layout in a.layouts] == [
         f"{FIBONACCI}_{part}" for part in ("Goal", "Result", "Feedback")
