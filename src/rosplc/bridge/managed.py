@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from rosplc.bridge.engine import Bridge
@@ -41,6 +42,7 @@ class ManagedBridge:
         self._lifecycle: LifecycleBackend | None = None
         self._bridge: Bridge | None = None
         self.project: Project | None = None
+        self._open = ExitStack()
 
     @property
     def active(self) -> bool:
@@ -58,12 +60,11 @@ class ManagedBridge:
         lifecycle = LifecycleBackend(
             backend, lambda type_name: self._check(backend, type_name), latched=latched | flags
         )
-        bridge = Bridge(project, lifecycle)
-        try:
-            bridge.start()
-        except BaseException:
-            lifecycle.close()
-            raise
+        with ExitStack() as stack:
+            stack.callback(lifecycle.close)
+            bridge = stack.enter_context(Bridge(project, lifecycle))
+            stack.callback(lifecycle.deactivate)
+            self._open = stack.pop_all()
         self.project, self._lifecycle, self._bridge = project, lifecycle, bridge
         return project
 
@@ -82,15 +83,8 @@ class ManagedBridge:
 
     def cleanup(self) -> None:
         """Let go of everything; harmless in every state."""
-        lifecycle, self._lifecycle = self._lifecycle, None
-        bridge, self._bridge = self._bridge, None
-        self.project = None
-        if lifecycle is not None:
-            lifecycle.deactivate()
-        if bridge is not None:
-            bridge.stop()
-        if lifecycle is not None:
-            lifecycle.close()
+        self.project = self._lifecycle = self._bridge = None
+        self._open.close()
 
     def status(self) -> BridgeStatus | None:
         """Return how bridge and topics stand; None while it is not configured."""

@@ -124,13 +124,13 @@ class StructNode:
 Node: TypeAlias = "ScalarNode | StringNode | PaddingNode | ArrayNode | SequenceNode | StructNode"
 
 
-def walk(node: Node, offset: int = 0, path: str = "") -> Iterator[tuple[str, int, Node]]:
+def walk(node: Node) -> Iterator[tuple[str, int, Node]]:
     """Yield path, offset and node of everything below a struct that has bytes of its own.
 
     Arrays and sequences come before their element (the first one's offset). Structs
     themselves, padding and counts are left out.
     """
-    for item_path, item_offset, item, member in _items(node, offset, path):
+    for item_path, item_offset, item, member in _items(node, 0, ""):
         if not isinstance(item, PaddingNode) and (member is None or member.count_of is None):
             yield item_path, item_offset, item
 

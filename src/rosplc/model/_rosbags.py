@@ -26,7 +26,7 @@ _STORES = {
 }
 
 # The ROS distributions whose definitions are bundled.
-DISTROS: tuple[str, ...] = ("humble", "jazzy", "kilted", "lyrical", "noetic")
+DISTROS: tuple[str, ...] = tuple(_STORES)
 
 # The member that ROS 2 adds to a message without fields; the model leaves it out.
 EMPTY_MEMBER = "structure_needs_at_least_one_member"

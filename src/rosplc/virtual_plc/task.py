@@ -278,21 +278,11 @@ class VirtualPlc:
         self.tasks: list[Task] = []
         self._stopped = threading.Event()
 
-    def task(
-        self,
-        name: str,
-        interval: float,
-        *,
-        priority: int = 15,
-        watchdog: float | None = None,
-        watchdog_sensitivity: int = 1,
-        realtime: bool = False,
-    ) -> Task:
-        """Add a cyclic task and return it; the arguments are those of :class:`Task`."""
+    def task(self, name: str, interval: float, **options: Any) -> Task:
+        """Add a cyclic task and return it; ``options`` are the others of :class:`Task`."""
         if any(task.name == name for task in self.tasks):
             raise ValueError(f"a task named {name} exists already")
-        guard: Any = {"watchdog": watchdog, "watchdog_sensitivity": watchdog_sensitivity}
-        self.tasks.append(Task(name, interval, priority=priority, realtime=realtime, **guard))
+        self.tasks.append(Task(name, interval, **options))
         return self.tasks[-1]
 
     def start(self) -> None:
