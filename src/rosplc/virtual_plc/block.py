@@ -234,49 +234,27 @@ OnStale = Literal["hold", "zero", "value"]
 class ReadBlock(Block):
     """Reads a topic once per scan; the stand-in for a generated ``<Type>_Read``.
 
-    Call the instance in every scan, then use its outputs, which carry the names that they
-    have in the PLC. A call waits for nothing and raises nothing about the other side: what
-    is wrong is in ``udiError``.
+    Call the instance in every scan, then use its outputs, which are those of the PLC's block
+    (docs/reference/plc-blocks.md). A call waits for nothing and raises nothing about the other side: what is
+    wrong is in ``udiError``, and in words in ``reason``. ``msg`` is the message as a typed view, None before
+    its type is known; ``info`` its slot's header (stamp, flags); ``age`` is ``tAge`` in seconds;
+    ``udiSources`` is None where the PLC has 16#FFFFFFFF.
 
     Args:
         topic: The topic as ROS writes it.
-        layout: The compiled-in layout, as a PLC has it: an object with another one is
-            refused with error 112. None takes the object's own description.
+        layout: The compiled-in layout, as a PLC has it: an object with another one is refused with error
+            112. None takes the object's own description.
         prefix: The bridge's ``prefix:``.
         directory: Where the objects stand.
         stale_after: Seconds without a new message after which ``xStale`` is set; None: never.
-        on_stale: What ``msg`` is then: ``hold`` the last message, ``zero`` every byte zero, ``value``
-            what ``stale_value`` gives.
+        on_stale: What ``msg`` is then: the last message, every byte zero, or ``value``: as ``stale_value``.
         stale_value: Field values for ``on_stale="value"``; fields left out are initial.
-        mode: ``latest`` skips to the newest message and counts the skipped ones as lost;
-            ``every`` takes them in order: one per call, :meth:`next` for more.
+        mode: ``latest`` skips to the newest message and counts the skipped ones as lost; ``every`` takes
+            them in order: one per call, :meth:`next` for more.
         max_per_cycle: With ``every``: at most so many messages in one scan.
         latched: Take the message that is there at the first attach as new.
-        beat_ms: The longest time between two calls that this block promises; tools take the
-            PLC for gone after three of them.
-
-    Attributes:
-        xAttached: The object is open and fits.
-        xValid: ``msg`` holds a message (or, once stale, what ``on_stale`` asks for).
-        xNew: This call brought a new message.
-        xStale: No new message for longer than ``stale_after``, or none yet.
-        xPeerAlive: The bridge beats.
-        xFirst: The message is marked as the first after its writer started, or after its source was silent.
-        xRecovered: With ``xNew``: the first message after a start, after ``xStale``, or of another writer.
-        xTruncated: Something was cut off to make the message fit.
-        xSubstituted: ``msg`` is no message of the source: a configured value takes its place.
-        udiSequence: The sequence number of the message in ``msg``.
-        udiLost: Messages missed since the first one that this block took.
-        udiError: 0, or a number of spec/shm-format.md, section 9.
-        uiTaken: Messages taken in this scan.
-        udiSources: ROS publishers of the topic; None if unknown (16#FFFFFFFF in the PLC), as without a
-            bridge that lives.
-        xSourcePresent: The bridge lives and knows a ROS publisher of the topic.
-        age: Seconds since the last new message (before the first: since the first call), by
-            this block's own clock; ``tAge`` in the PLC.
-        msg: The message as a typed view, or None before the type is known.
-        info: Slot header of the message in ``msg`` (stamp, flags), or None.
-        reason: ``udiError`` in words.
+        beat_ms: The longest time between two calls that this block promises; tools take the PLC for gone
+            after three of them.
     """
 
     def __init__(
@@ -559,32 +537,9 @@ def _copy(node: StructNode, view: RecordView) -> Message:
 class WriteBlock(Block):
     """Publishes ``msg`` on a topic; the stand-in for a generated ``<Type>_Write``.
 
-    Set ``msg`` and ``xEnable``, then call the instance once per scan: each call with
-    ``xEnable`` publishes one message. A call waits for nothing and raises nothing about
-    the other side: what is wrong is in ``udiError``.
-
-    Args:
-        topic: The topic as ROS writes it.
-        layout: The compiled-in layout, as a PLC has it; None takes the object's own
-            description, and ``msg`` is then None until the object is open.
-        prefix: The bridge's ``prefix:``.
-        directory: Where the objects stand.
-        beat_ms: The longest time between two calls that this block promises; the bridge
-            takes the PLC for gone after three of them.
-
-    Attributes:
-        msg: The message to send; every field can be set. None before the type is known.
-        xEnable: Whether a call publishes; False, as it is at first, sends nothing but the beat.
-        xAttached: The object is open and fits.
-        xReady: The object is open and the claim is this block's: a call will publish.
-        xPeerAlive: The bridge beats.
-        xPublished: This call published.
-        udiSequence: The sequence number of the last published message.
-        udiPublished: Messages published since the start.
-        udiTaken: The sequence number that the bridge has taken.
-        udiSinks: ROS subscribers behind the bridge; None if unknown, as without a bridge that lives.
-        udiError: 0, or a number of spec/shm-format.md, section 9.
-        reason: ``udiError`` in words.
+    Set ``msg`` and ``xEnable``, then call the instance once per scan: each call with ``xEnable`` publishes
+    one message. ``msg`` is None before the type is known; else every field can be set. Other pins, and
+    ``reason``, are as :class:`ReadBlock`'s; ``layout``, ``prefix``, ``directory`` and ``beat_ms`` too.
     """
 
     def __init__(

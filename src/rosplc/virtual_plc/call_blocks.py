@@ -126,21 +126,12 @@ class _Out(WriteBlock):
 class _CallBlock(_Instance):
     """What all blocks of services and actions share. Call the instance in every scan; it waits for nothing.
 
-    Args:
-        name: The service or action as ROS writes it.
-        client: Of a client: the use's name in the configuration; empty if it has none.
-        prefix: The bridge's ``prefix:``.
-        directory: Where the objects stand.
-        beat_ms: The longest time between two calls that this block promises.
-        layouts: The compiled-in layouts by part, ``request=``, ``goal=`` and so on, as a PLC has them. For a
-            part that is left out the object describes itself; until it is open, such an input is None.
-
-    Attributes:
-        xAttached: The objects are open, and this block's.
-        xPeerAlive: The bridge beats.
-        udiError: 0, or a number of the error reference.
-        reason: ``udiError`` in words.
-        udiCalls: Calls shown, or sent, since the start.
+    Pins are those of the PLC's block (docs/reference/plc-calls.md), times in seconds; ``reason`` is
+    ``udiError`` in words. ``name`` is the service or action as ROS writes it, ``client`` a client's name of
+    the use in the configuration, empty if it has none; ``prefix``, ``directory`` and ``beat_ms`` are as
+    :class:`ReadBlock`'s. ``layouts`` are the compiled-in ones by part, ``request=``, ``goal=`` and so on, as
+    a PLC has them: for a part that is left out the object describes itself; until it is open, such an input
+    is None.
     """
 
     _parts: ClassVar[tuple[Part, ...]] = SERVICE
@@ -199,14 +190,7 @@ def _input(index: int) -> Any:
 
 
 class _Answerer(_CallBlock):
-    """What both servers share.
-
-    Attributes:
-        xCallerGone: Nobody waits for the answer any more; the call must still be ended.
-        udiCallers: ROS clients known; None if unknown, as without a bridge.
-        udiRefused: Calls that ended without being shown.
-        age: Seconds since the call in hand was shown.
-    """
+    """What both servers share; ``udiCallers`` is None if unknown, ``age`` is ``tAge`` in seconds."""
 
     _calls = False
     _steps: ClassVar[tuple[str, ...]]
@@ -310,13 +294,6 @@ class ServiceServer(_Answerer):
 
     While ``xRequest`` is set, ``request`` is to be carried out; a rising edge of ``xReply`` sends
     ``response``, one of ``xReject`` refuses.
-
-    Attributes:
-        xReply: Input: the call is done, send ``response``.
-        xReject: Input: the call was not and will not be carried out.
-        response: Input: the answer.
-        xRequest: A call is to be carried out; False for one scan at least between two calls.
-        request: What is asked.
     """
 
     _steps = ("xReply", "xReject")
@@ -341,24 +318,6 @@ class ActionServer(_Answerer):
     While ``xGoal`` is set, ``goal`` is to be accepted or rejected. An accepted one is ended by a rising edge
     of ``xSucceed``, ``xAbort`` or ``xCanceled``, with ``result``. A step that the goal in hand does not allow
     changes nothing, and is reported (ILLEGAL_STEP).
-
-    Attributes:
-        xAccept: Input: the goal is carried out.
-        xReject: Input: the goal is not and will not be carried out.
-        xSendFeedback: Input, no edge: send ``feedback`` at this call, while ``xActive``.
-        xAcceptCancel: Input, with ``xCancelRequested``: the goal will be canceled.
-        xRejectCancel: Input, with ``xCancelRequested``: the goal goes on.
-        xSucceed: Input: the goal is reached.
-        xAbort: Input: the goal has failed, and nothing moves for it any more.
-        xCanceled: Input, with ``xCanceling``: the goal is canceled, and nothing moves for it.
-        result: Input: taken over when the goal ends.
-        feedback: Input: sent with ``xSendFeedback``.
-        xGoal: A goal is to be accepted or rejected; it may be withdrawn before.
-        xActive: An accepted goal is to be carried out.
-        xCancelRequested: The caller asks for the goal to be canceled.
-        xCanceling: The program has agreed to that.
-        xPreempt: Another goal waits for this one to end.
-        goal: What is asked.
     """
 
     _parts = ACTION
@@ -433,20 +392,7 @@ class ActionServer(_Answerer):
 
 
 class _Caller(_CallBlock):
-    """What both clients share: at most one of ``xBusy``, ``xDone``, ``xAborted`` and ``xError`` is set.
-
-    Attributes:
-        xExecute: Input: a rising edge takes over what is asked, and calls. The end
-            stands while it is set, for one scan at least.
-        tTimeout: Input: seconds for the whole call; 0: no limit.
-        tBridgeGrace: Input: seconds that the bridge may be silent; 0: no limit.
-        xBusy: The call is not over.
-        xDone: The answer has come.
-        xAborted: Ended as the program asked; ``eError`` tells what became of the call.
-        eReason: With ``xError`` and ``xAborted``: why.
-        xServer: A server that can be called is known now; no promise.
-        udiLate: Answers that nobody waited for any more.
-    """
+    """What both clients share: at most one of ``xBusy``, ``xDone``, ``xAborted`` and ``xError`` is set."""
 
     _calls = True
     _stop: ClassVar[str]  # the input that asks for the end of the call
@@ -581,13 +527,7 @@ class _Caller(_CallBlock):
 
 
 class ServiceClient(_Caller):
-    """Calls a service of ROS; the stand-in for a generated ``<pkg>_<Srv>_Client``.
-
-    Attributes:
-        xAbort: Input: wait no longer; a server that has begun goes on.
-        request: Input: what is asked.
-        response: With ``xDone``: the answer.
-    """
+    """Calls a service of ROS; the stand-in for a generated ``<pkg>_<Srv>_Client``."""
 
     _stop = "xAbort"
     xAbort = False
@@ -613,18 +553,7 @@ class ServiceClient(_Caller):
 
 
 class ActionClient(_Caller):
-    """Sends goals to an action of ROS; the stand-in for a generated ``<pkg>_<Act>_ActionClient``.
-
-    Attributes:
-        xCancel: Input: ask the server to cancel the goal, and wait for its end.
-        goal: Input: what is asked.
-        xActive: The server has accepted the goal, which has not ended.
-        xCancelRejected: The server goes on; let ``xCancel`` fall and rise to ask again.
-        eStatus: Of the newest goal.
-        xNewFeedback: Feedback has come in this scan.
-        feedback: With ``xNewFeedback``: the newest.
-        result: With ``xDone``: the result; of a goal that was canceled or aborted, too.
-    """
+    """Sends goals to an action of ROS; the stand-in for a generated ``<pkg>_<Act>_ActionClient``."""
 
     _parts = ACTION
     _stop = "xCancel"
