@@ -11,6 +11,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
@@ -24,8 +25,8 @@ from rosplc.bridge.status import ActionStatus, BridgeStatus, ServiceStatus, carr
 from rosplc.bridge.stream import Stream
 from rosplc.bridge.use import Use
 from rosplc.clock import SYSTEM, Clock
-from rosplc.config.file import Config, read_config
-from rosplc.config.resolve import Project, open_doors, resolve, rights
+from rosplc.config.file import Config
+from rosplc.config.resolve import Project, load_project, open_doors, resolve, rights
 from rosplc.config.transforms import TF_MESSAGE
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
@@ -70,6 +71,7 @@ class Bridge:
         # since it may be part of a larger program
         self.on_ended: Callable[[str], None] | None = None
         self._ended = ""
+        self.read: Callable[[Path], Project] = load_project  # the file of a reload
         self._changing = threading.Lock()  # reload and check exclude each other
         self._refused = ""
         self._open = ExitStack()
@@ -223,7 +225,7 @@ class Bridge:
             try:
                 if config is None:
                     assert path is not None
-                    config = read_config(path)
+                    config = self.read(path)
                 project = config if isinstance(config, Project) else resolve(config)
                 changes = compare(self.project, project, self._types.used)
                 self._exchange(project, changes)

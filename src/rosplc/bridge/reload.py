@@ -16,8 +16,6 @@ from rosplc.config.yaml_source import Problems
 from rosplc.errors import BackendError, RosplcError
 from rosplc.shm import Namespace
 
-_MAY_CHANGE = {"topics", "services", "actions", "transforms", "limits", "types", "tasks", "programs"}
-
 
 @dataclass(frozen=True)
 class Changes:
@@ -61,12 +59,10 @@ def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
 
 
 def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
-    was, now = (p.config.settings.model_dump(mode="json", by_alias=True) for p in (old, new))
     source = new.config.source
-    for key in sorted(set(was) - _MAY_CHANGE):
-        for path in _differing((key,), was[key], now[key]):
-            what = f"it was {_written(old, path)} and would be {_written(new, path)}"
-            problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
+    for path in _differing((), old.config.fixed, new.config.fixed):
+        what = f"it was {_written(old, path)} and would be {_written(new, path)}"
+        problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
     if old.parameters != new.parameters and not problems:
         what = "what the PLC has of them would change"
         problems.wrong(source, ("parameters",), what, "", "CFG012")

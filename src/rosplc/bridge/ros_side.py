@@ -57,7 +57,10 @@ class RosSide:
     def options(self, backend: str) -> dict[str, Any]:
         """Return the backend's own settings."""
         section = getattr(self.config.settings.ros, backend, None) if backend in OWN_SETTINGS else None
-        options: dict[str, Any] = {} if section is None else section.model_dump(exclude_none=True)
+        given = {} if section is None else vars(section)
+        options: dict[str, Any] = {
+            key: value for key, value in given.items() if value is not None and key != "model_fields_set"
+        }
         if "config" in options:
             options["config"] = str((self.config.base / options["config"]).absolute())
         if backend == "rclpy":

@@ -11,6 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -18,6 +19,7 @@ from rosplc.bridge.engine import Bridge
 from rosplc.bridge.port import log
 from rosplc.bridge.status import BridgeStatus, Level
 from rosplc.clock import SYSTEM, Clock
+from rosplc.config.apart import apart
 from rosplc.config.resolve import Project, load_project
 from rosplc.config.yaml_source import may_pass
 from rosplc.errors import BackendError, ConfigError, RosplcError, SetupError
@@ -177,6 +179,10 @@ def _reload(bridge: Bridge) -> None:
         log.exception("the configuration could not be reloaded")
 
 
+def _load(path: Path, _: RosArguments | None) -> Project:
+    return load_project(path)
+
+
 def run_bridge(
     config: Path,
     *,
@@ -184,19 +190,21 @@ def run_bridge(
     level: int = logging.INFO,
     arguments: RosArguments | None = None,
     supervised: Callable[[Bridge], AbstractContextManager[object]] = nullcontext,
-    load: Callable[[Path, RosArguments | None], Project] = lambda path, _: load_project(path),
+    load: Callable[[Path, RosArguments | None], Project] = _load,
 ) -> None:
     """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once, SIGUSR1 reloads the file.
 
     The log has a status line every ``status_seconds`` (None: never). ``supervised`` surrounds the running
-    bridge, such as a service manager's watchdog; ``load`` reads the configuration. Raises RosplcError if the
-    configuration is wrong, the bridge cannot start or the ROS side has ended for good (ROS015); under a
-    service manager SetupError SYS015 if something is missing that may come by itself.
+    bridge, such as a service manager's watchdog; ``load``, a function of a module, reads the configuration in
+    a process of its own. Raises RosplcError if the configuration is wrong, the bridge cannot start or the ROS
+    side has ended for good (ROS015); under a service manager SetupError SYS015 if something is missing that
+    may come by itself.
     """
     log_to_stderr(level)
     _allow_many_files()
     try:
-        bridge = Bridge(load(config, arguments), arguments=arguments)
+        bridge = Bridge(apart(load, config, arguments), arguments=arguments)
+        bridge.read = partial(apart, load_project)
         with supervised(bridge):
             run_until_signal(bridge, None if status_seconds is None else _Reporter().report, status_seconds)
     except ConfigError as error:

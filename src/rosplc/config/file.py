@@ -7,19 +7,20 @@ import types
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
-
-from rosplc.config.settings import MOST_CLIENTS, Settings
 from rosplc.config.yaml_source import KeyPath, Problems, YamlSource, did_you_mean, read_yaml
 from rosplc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rosplc.config.settings import Settings
 
 RENAMED = {"rate": "expected_rate", "depth": "slots"}
 """Keys of a topic that 0.1.0 called otherwise; they work, with a warning, until 0.3.0."""
 
 log = logging.getLogger("rosplc.config")
 _MOST_WARNINGS = 5
+_MAY_CHANGE = {"topics", "services", "actions", "transforms", "limits", "types", "tasks", "programs"}
 
 
 LEARNT = "learned_types"
@@ -34,6 +35,7 @@ class Config:
     # the file's keys and lines, to name a place in later errors
     source: YamlSource = field(default_factory=lambda: YamlSource("<settings>"), repr=False)
     base: Path = field(default_factory=Path)  # the folder that relative paths refer to
+    fixed: Mapping[str, Any] = field(default_factory=dict)  # what cannot change in a running bridge, by key
 
     @property
     def path(self) -> Path | None:
@@ -75,6 +77,8 @@ _BY_NAME = ("tasks", "topics", "services", "actions", "transforms")
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON Schema of a configuration file, for editors."""
+    from rosplc.config.settings import Settings
+
     schema = Settings.model_json_schema(by_alias=True)
     _allow_short_forms(schema)
     return {
@@ -86,6 +90,8 @@ def json_schema() -> dict[str, Any]:
 
 
 def _allow_short_forms(schema: dict[str, Any]) -> None:
+    from rosplc.config.settings import MOST_CLIENTS
+
     # Validators accept these before pydantic looks, so its schema does not show them.
     qos = schema["$defs"]["TopicSettings"]["properties"]["qos"]
     reference = {"$ref": qos.pop("$ref")} if "$ref" in qos else {"allOf": qos.pop("allOf")}
@@ -122,6 +128,11 @@ def _parse(path: Path, text: str | None, base: Path) -> Config:
 
 
 def _validate(source: YamlSource, base: Path, problems: Problems) -> Config:
+    # A bridge reads its file in another process, and does without pydantic.
+    from pydantic import ValidationError
+
+    from rosplc.config.settings import Settings
+
     data = {} if source.data is None else source.data
     if not isinstance(data, dict):
         what = "the file should hold keys such as topics:, not a list or a text"
@@ -129,7 +140,7 @@ def _validate(source: YamlSource, base: Path, problems: Problems) -> Config:
         problems.check()
     data = _with_new_names(data, source, problems)
     try:
-        config = Config(Settings.model_validate(data), source, base)
+        settings = Settings.model_validate(data)
     except ValidationError as error:
         for item in error.errors(include_url=False):
             path = _real_path(item["loc"], source)
@@ -137,7 +148,8 @@ def _validate(source: YamlSource, base: Path, problems: Problems) -> Config:
         problems.check()
         raise  # pragma: no cover - check() raises
     problems.check()
-    return config
+    fixed = settings.model_dump(mode="json", by_alias=True, exclude=_MAY_CHANGE)
+    return Config(settings, source, base, fixed)
 
 
 def _old_keys(data: Any) -> list[tuple[str, str]]:
@@ -250,6 +262,10 @@ def _show(value: Any) -> str:
 
 def _keys_at(path: KeyPath) -> Iterator[str]:
     """Yield the keys that the settings have at a path."""
+    from pydantic import BaseModel
+
+    from rosplc.config.settings import Settings
+
     current: Any = Settings
     for part in path:
         if isinstance(current, type) and issubclass(current, BaseModel):

@@ -10,30 +10,24 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import yaml
-from pydantic import Field, StrictBool, StrictInt, StrictStr, TypeAdapter, ValidationError
 
 from rosplc.config.file import Config
-from rosplc.config.settings import ParameterSettings
 from rosplc.config.yaml_source import Problems
 from rosplc.errors import ConfigError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros.parameters import Parameter
 
+if TYPE_CHECKING:
+    from rosplc.config.settings import ParameterSettings
+
 WANTED, CURRENT = "/parameters/wanted", "/parameters/current"  # as the objects' names have them
 TYPE = "rosplc_parameters/msg/Set"
 _SEPARATOR = "=" * 80
-# Kind of a parameter, or of an array's elements → the field's type in ROS, and what is taken of YAML.
-_KINDS: dict[str, tuple[str, Any]] = {
-    "bool": ("bool", StrictBool),
-    "integer": ("int64", Annotated[StrictInt, Field(ge=-(2**63), lt=2**63)]),
-    "double": ("float64", Annotated[float, Field(strict=True, allow_inf_nan=False)]),
-    "string": ("string", StrictStr),
-    "byte": ("byte", Annotated[StrictInt, Field(ge=0, le=255)]),
-}
+_FIELD_TYPES = {"bool": "bool", "integer": "int64", "double": "float64", "string": "string", "byte": "byte"}
 
 
 @dataclass(frozen=True)
@@ -89,7 +83,7 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
 
 
 def _field_type(kind: str) -> str:
-    return _KINDS[kind.removesuffix("_array")][0] + "[]" * kind.endswith("_array")
+    return _FIELD_TYPES[kind.removesuffix("_array")] + "[]" * kind.endswith("_array")
 
 
 def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> Parameter:
@@ -120,8 +114,17 @@ def _fitting(parameter: Parameter, value: Any) -> Any:
 
 def _converted(kind: str, value: Any) -> Any:
     """Return a value of YAML as one of a kind of parameters; ValueError with words if it is none."""
+    from pydantic import Field, StrictBool, StrictInt, StrictStr, TypeAdapter, ValidationError
+
+    taken: dict[str, Any] = {
+        "bool": StrictBool,
+        "integer": Annotated[StrictInt, Field(ge=-(2**63), lt=2**63)],
+        "double": Annotated[float, Field(strict=True, allow_inf_nan=False)],
+        "string": StrictStr,
+        "byte": Annotated[StrictInt, Field(ge=0, le=255)],
+    }
     element = kind.removesuffix("_array")
-    wanted: Any = _KINDS[element][1]
+    wanted: Any = taken[element]
     try:
         found: Any = TypeAdapter(wanted if element == kind else list[wanted]).validate_python(value)
     except ValidationError as error:

@@ -6,11 +6,10 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 from rosplc.config.file import Config
 from rosplc.config.quantities import format_duration, parse_duration
-from rosplc.config.settings import ActionSettings, ServiceSettings, TopicSettings
 from rosplc.config.yaml_source import KeyPath, Problems
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
@@ -18,6 +17,9 @@ from rosplc.model import TypeStore
 from rosplc.ros import SERVICES, Qos
 from rosplc.shm import ACTION, SERVICE, Part
 from rosplc.shm.constants import MAX_NAME
+
+if TYPE_CHECKING:
+    from rosplc.config.settings import ActionSettings, ServiceSettings, TopicSettings
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ def slot_numbers(
     return least, usual
 
 
-_Settings = ServiceSettings | ActionSettings
+_Settings: TypeAlias = "ServiceSettings | ActionSettings"
 _RESERVED = ("_action", "_service_event")
 """Last parts but one, and last parts, of names that ROS itself makes."""
 
@@ -352,6 +354,8 @@ def call_plans(config: Config, plan: type[_C], store: TypeStore, problems: Probl
 def _contradictions(
     config: Config, plan: type[CallPlan], entry: _Settings, path: KeyPath, problems: Problems
 ) -> None:
+    from rosplc.config.settings import ServiceSettings
+
     other = "ros" if entry.server == "plc" else "plc"
 
     def wrong(key: KeyPath, *what: str) -> None:
@@ -429,6 +433,8 @@ def _values(
     config: Config, plan: type[CallPlan], entry: _Settings, layouts: Mapping[str, Layout], path: KeyPath
 ) -> dict[str, Any]:
     """Return what a plan has of settings that do not contradict each other."""
+    from rosplc.config.settings import ActionSettings
+
     known = type(entry).model_fields
     values = {each.name: getattr(entry, each.name) for each in fields(plan) if each.name in known}
     if isinstance(entry, ActionSettings):

@@ -5,9 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from fractions import Fraction
-from typing import Annotated, Any
-
-from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
+from typing import Any
 
 _UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 _RATES = {"mHz": Fraction(1, 1000), "Hz": Fraction(1), "kHz": Fraction(1000)}
@@ -15,9 +13,6 @@ _SIZES = {"B": 1, "kB": 10**3, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**
 _SIZES |= {"KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 _QUANTITY = re.compile(r"([0-9]{1,14}(?:\.[0-9]{1,9})?)[ ]?([A-Za-zµ]+)\Z")
 _LONGEST = 24 * 3600 * 10**9
-
-_DURATION_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h)$"
-_EITHER_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h|mHz|Hz|kHz)$"
 
 
 def _split(value: Any, example: str, units: Iterable[str]) -> tuple[Fraction, str]:
@@ -85,41 +80,3 @@ def format_duration(ns: int) -> str:
         if ns and ns % _UNITS[unit] == 0:
             return f"{ns // _UNITS[unit]}{unit}"
     return f"{ns}ns"
-
-
-def between(shortest: str, longest: str) -> AfterValidator:
-    """Return a validator for a :data:`Duration` with bounds, such as ``between("50us", "1s")``."""
-    low, high = parse_duration(shortest), parse_duration(longest)
-
-    def check(ns: int) -> int:
-        if not low <= ns <= high:
-            raise ValueError(f"{format_duration(ns)!r} is not between {shortest} and {longest}")
-        return ns
-
-    return AfterValidator(check)
-
-
-def _text(pattern: str, *examples: str) -> WithJsonSchema:
-    return WithJsonSchema({"type": "string", "pattern": pattern, "examples": list(examples)})
-
-
-Duration = Annotated[int, BeforeValidator(parse_duration), _text(_DURATION_PATTERN, "10ms", "1s")]
-"""Nanoseconds, written with a unit."""
-
-Interval = Annotated[int, BeforeValidator(parse_rate), _text(_EITHER_PATTERN, "10Hz", "100ms")]
-"""Nanoseconds, written as a rate or as a duration."""
-
-StaleAfter = Annotated[
-    int,
-    BeforeValidator(parse_stale),
-    WithJsonSchema({"anyOf": [{"const": "never"}, {"type": "string", "pattern": _DURATION_PATTERN}]}),
-]
-"""Nanoseconds; 0 for ``never``."""
-
-FileMode = Annotated[
-    int,
-    BeforeValidator(parse_mode),
-    Field(ge=0),
-    WithJsonSchema({"type": "string", "pattern": "^(0o?)?[0-7]{3}$"}),
-]
-"""Permission bits."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from rosplc.config.file import Config, read_config
 from rosplc.config.parameters import CURRENT, TYPE, WANTED, ParametersPlan, parameters_plan
@@ -28,7 +28,6 @@ from rosplc.config.plans import (
     stale_plan,
 )
 from rosplc.config.quantities import format_duration
-from rosplc.config.settings import TIME_TEXT, TIME_TYPE, TaskSettings, TopicSettings, TransformSettings
 from rosplc.config.transforms import DEFINITION, FRAME_BYTES, TYPE_NAME
 from rosplc.config.yaml_source import Absent, KeyPath, Problems
 from rosplc.described import description_of
@@ -41,6 +40,11 @@ from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, M
 from rosplc.shm.files import Rights
 from rosplc.shm.names import partnered
 
+if TYPE_CHECKING:
+    from rosplc.config.settings import TaskSettings, TopicSettings, TransformSettings
+
+TIME_TYPE = "rosplc/msg/RosTime"  # what the PLC's block for ROS time reads
+TIME_TEXT = "uint64 now\nuint32 transfer\nbool sim\n"  # both in ns; the most that a message took of late
 OWN_SETTINGS = ("zenoh", "rclpy")  # backends that have a section
 _ROS2 = ("dds", "rclpy", "zenoh")
 _LARGEST_ID = 2**32 - 2
@@ -204,6 +208,8 @@ def _topics_of(
     config: Config, parameters: ParametersPlan | None
 ) -> Iterator[tuple[KeyPath, str, TopicSettings, Own]]:
     """Yield where each topic is configured, its name and settings, and what the bridge itself has it for."""
+    from rosplc.config.settings import TopicSettings
+
     settings = config.settings
     for topic, entry in settings.topics.items():
         yield ("topics", topic), topic, entry, ""
@@ -213,7 +219,12 @@ def _topics_of(
         entry = TopicSettings(type=log, to="ros", task=settings.rosout.task, limits=limits)
         yield ("rosout",), "/rosout", entry, "log"
     if settings.time.plc:
-        yield ("time",), "/ros_time", TopicSettings(type=TIME_TYPE, to="plc", task=settings.time.task), "time"
+        yield (
+            ("time",),
+            "/ros_time",
+            TopicSettings(type=TIME_TYPE, to="plc", task=settings.time.task),
+            "time",
+        )
     for name, wanted in settings.transforms.items():
         shared = {"type": TYPE_NAME, "to": "plc", "task": wanted.task, "limits": {"frame": FRAME_BYTES}}
         times = {"expected_rate": wanted.rate_ns, "stale_after": max(10**9, 3 * wanted.rate_ns)}

@@ -7,6 +7,7 @@ are nanoseconds (``…_ns``), written in the file with a unit and under the name
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -22,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from rosplc.config.quantities import Duration, FileMode, Interval, StaleAfter, between
+from rosplc.config.quantities import format_duration, parse_duration, parse_mode, parse_rate, parse_stale
 from rosplc.config.yaml_source import did_you_mean
 from rosplc.model import DISTROS
 from rosplc.ros import BACKENDS
@@ -38,10 +39,47 @@ MOST_TASKS = 64  # tasks of the PLC; PLC code serves fewer
 MOST_PATHS = 256  # folders with messages, and addresses of Zenoh
 MOST_REMAPPINGS = 10_000  # names that are replaced
 
-TIME_TYPE = "rosplc/msg/RosTime"  # what the PLC's block for ROS time reads
-TIME_TEXT = "uint64 now\nuint32 transfer\nbool sim\n"  # both in ns; the most that a message took of late
-
 _TOPIC = r"(/[A-Za-z_][A-Za-z0-9_]*)+"
+_DURATION_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h)$"
+_EITHER_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h|mHz|Hz|kHz)$"
+
+
+def between(shortest: str, longest: str) -> AfterValidator:
+    """Return a validator for a :data:`Duration` with bounds, such as ``between("50us", "1s")``."""
+    low, high = parse_duration(shortest), parse_duration(longest)
+
+    def check(ns: int) -> int:
+        if not low <= ns <= high:
+            raise ValueError(f"{format_duration(ns)!r} is not between {shortest} and {longest}")
+        return ns
+
+    return AfterValidator(check)
+
+
+def _text(pattern: str, *examples: str) -> WithJsonSchema:
+    return WithJsonSchema({"type": "string", "pattern": pattern, "examples": list(examples)})
+
+
+Duration = Annotated[int, BeforeValidator(parse_duration), _text(_DURATION_PATTERN, "10ms", "1s")]
+"""Nanoseconds, written with a unit."""
+
+Interval = Annotated[int, BeforeValidator(parse_rate), _text(_EITHER_PATTERN, "10Hz", "100ms")]
+"""Nanoseconds, written as a rate or as a duration."""
+
+StaleAfter = Annotated[
+    int,
+    BeforeValidator(parse_stale),
+    WithJsonSchema({"anyOf": [{"const": "never"}, {"type": "string", "pattern": _DURATION_PATTERN}]}),
+]
+"""Nanoseconds; 0 for ``never``."""
+
+FileMode = Annotated[
+    int,
+    BeforeValidator(parse_mode),
+    Field(ge=0),
+    WithJsonSchema({"type": "string", "pattern": "^(0o?)?[0-7]{3}$"}),
+]
+"""Permission bits."""
 
 
 def _absolute(what: str) -> AfterValidator:
@@ -160,6 +198,10 @@ class _Section(BaseModel):
         validate_default=True,
         alias_generator=lambda name: name.removesuffix("_ns"),
     )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # For a bridge, which carries without pydantic: 10 MB of memory.
+        return SimpleNamespace, (), {**vars(self), "model_fields_set": self.model_fields_set}
 
 
 def _f(default: Any, description: str, **constraints: Any) -> Any:

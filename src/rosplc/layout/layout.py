@@ -41,6 +41,9 @@ class Layout:
         self.root = root
         self.limits = limits
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return Layout, (self.store, self.root, self.limits)  # not what was computed from these
+
     def __repr__(self) -> str:
         return f"Layout({self.type_name}, {self.size} bytes, {self.layout_id})"
 

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain, DomainParticipant
@@ -84,7 +83,9 @@ def _discovery_range(environment: Mapping[str, str]) -> str:
 
 
 def _peers(addresses: list[str]) -> str:
-    return "<Peers>" + "".join(f"<Peer address={quoteattr(address)}/>" for address in addresses) + "</Peers>"
+    # As xml.sax.saxutils.quoteattr, which imports what talks HTTP over TLS.
+    quoted = (each.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;") for each in addresses)
+    return "<Peers>" + "".join(f'<Peer address="{address}"/>' for address in quoted) + "</Peers>"
 
 
 def _interfaces(environment: Mapping[str, str], *, beyond: bool) -> str:
@@ -306,7 +307,7 @@ class DdsBackend(BaseNode):
         self._decoys = PublisherGroup(self._participant, qos=DdsQos(Policy.Partition([_DECOYS])))
         self._subscribers = SubscriberGroup(self._participant)
         self._topics = Topics(self._participant)
-        names = (self._namespace, self._node_name, self._store.distro)
+        names = (self._namespace, self._node_name, self._store)
         self._announcer = Announcer(self._participant, self._topics, guid, *names, dds_qos)
         self.peers = PeerTable(self._participant, guid)
         with TYPES:

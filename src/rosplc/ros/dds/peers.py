@@ -31,7 +31,7 @@ from cyclonedds.sub import DataReader
 
 from rosplc.errors import BackendError
 from rosplc.harmless import one_line
-from rosplc.model import DISTROS, ArrayType, TypeStore
+from rosplc.model import ArrayType, TypeStore
 from rosplc.ros import fields
 from rosplc.ros._base import is_cdr
 from rosplc.ros.backend import EndpointInfo, Qos
@@ -339,7 +339,7 @@ class Announcer:
         guid: bytes,
         namespace: str,
         name: str,
-        distro: str,
+        store: TypeStore,
         qos_of: Callable[[Qos, str], Any],
     ) -> None:
         self._guid = guid  # 16 bytes
@@ -348,8 +348,8 @@ class Announcer:
         self._others: dict[bytes, tuple[NodeEntities, ...]] = {}
         self._names: dict[bytes, str] = {}
         # A store of custom types need not have the announcement's.
-        self._types = TypeStore.bundled(distro if distro in DISTROS else "jazzy")
-        type_hash = "" if distro == "humble" else self._types.type_hash(ANNOUNCEMENT)
+        self._types = store if ANNOUNCEMENT in store.names() else TypeStore.bundled("jazzy")
+        type_hash = "" if store.distro == "humble" else self._types.type_hash(ANNOUNCEMENT)
         topic = topics(ANNOUNCEMENT_TOPIC, IdlTypes(self._types)[ANNOUNCEMENT])
         self._writer = DataWriter(participant, topic, qos_of(_QOS, type_hash))
         self._reader = DataReader(participant, topic, qos_of(_READ_QOS, type_hash))
