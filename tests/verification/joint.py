@@ -93,7 +93,9 @@ class Joint:
         made, self.programs = built(config, own, delayed)
         self.machine = LibraryMachine(made, str(self.folder))
         self.machine.start()
-        self.peer = open_backend(backend, store(), "peer", domain=domain, options=options or {})
+        self.peer: Any = None  # of ROS 1 a test has its own
+        if backend != "rospy":
+            self.peer = open_backend(backend, store(), "peer", domain=domain, options=options or {})
         self.bridge: Bridge | subprocess.Popen[bytes] | None = None
         self.start_bridge()
 
@@ -124,7 +126,8 @@ class Joint:
 
     def close(self) -> None:
         self.stop_bridge()
-        self.peer.close()
+        if self.peer is not None:
+            self.peer.close()
         shutil.rmtree(self.folder)
 
     def restart_plc(self) -> None:

@@ -6,6 +6,8 @@ import logging
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 from rosplc.bridge import ros_time, rosout
 from rosplc.bridge.carrier import Carried, Duty
@@ -69,19 +71,22 @@ class OwnTopics:
             stack.callback(time.leave)
             self.beats.append(Duty("telling the time", ros_time.PERIOD_NS, time.write))
             self.ends[ros_time.TOPIC] = time
+        serve: Any = partial(ParameterServer, backend, store, clock=clock)
         declared = [sim, *shown_parameters(ros.shown())]
+        if store.ros_version == 1:  # use_sim_time is no node's own there
+            serve, declared = getattr(backend, "keep_parameters", None), [sim] * settings.time.plc
         self.parameters: PlcParameters | None = None
         if (asked := project.parameters) is not None:
             own = self.parameters = PlcParameters(asked, store, ros.given(asked.declared), clock)
             self.beats.append(Duty("checking parameters", _CHECK_NS, own.check))
             self.ends |= dict.fromkeys((WANTED, CURRENT), own)
-            if backend.name == "rclpy" and not owned:
+            if serve is None or (backend.name == "rclpy" and not owned):
                 self.warnings = (_NOT_SERVED,)
                 log.warning("%s", _NOT_SERVED)
             else:
-                stack.callback(own.serve(backend, declared).close)
-        elif owned and store.ros_version == 2:
-            stack.callback(ParameterServer(backend, store, declared, clock=clock).close)
+                stack.callback(own.serve(serve, declared).close)
+        elif owned and serve is not None and declared:
+            stack.callback(serve(declared).close)
         if settings.diagnostics.enabled:
             diagnostics = Diagnostics(store, backend, clock)
             stack.callback(diagnostics.close)

@@ -10,7 +10,7 @@ import logging
 import secrets
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +18,8 @@ from rosplc.bridge.stream import OwnEnd, Stream
 from rosplc.clock import Clock
 from rosplc.config.parameters import TYPE, ParametersPlan
 from rosplc.model import TypeStore
-from rosplc.ros import Backend, fields
-from rosplc.ros.parameters import Done, Parameter, ParameterServer
+from rosplc.ros import fields
+from rosplc.ros.parameters import Done, Parameter
 
 _log = logging.getLogger("rosplc.bridge")
 # For a set; a PLC is looked at each second, and seen to live when it has beaten between two looks.
@@ -46,18 +46,17 @@ class PlcParameters(OwnEnd):
     ) -> None:
         super().__init__()
         self.plan, self.store, self.clock = plan, store, clock
-        self.values = {each.name: each.value for each in plan.declared} | dict(given)
+        self.values, self._given = {each.name: each.value for each in plan.declared} | dict(given), given
         self._sets: deque[_Set] = deque()
         self._number = 0  # of the last set that the PLC has taken; 0: none
         self._lock = threading.RLock()
-        self._server: ParameterServer | None = None
+        self._server: Any = None  # what shows them in ROS, with the methods of a ParameterServer
         self._streams: Sequence[Stream] = ()  # of both topics, once they are carried
 
-    def serve(self, backend: Backend, shown: list[Parameter]) -> ParameterServer:
-        """Serve these, and what the node shows. Raises as ``serve`` of the backend does."""
+    def serve(self, make: Callable[..., Any], own: list[Parameter]) -> Any:
+        """Return the server that ``make`` makes of these and the node's own; raises as that does."""
         with self._lock:
-            declared = [*shown, *self.plan.declared]
-            self._server = ParameterServer(backend, self.store, declared, self.apply, clock=self.clock)
+            self._server = make([*own, *self.plan.declared], self.apply)
             self._server.values.update(self.values)
             return self._server
 
@@ -65,6 +64,10 @@ class PlcParameters(OwnEnd):
         """Give a new object the values of the file."""
         self._streams = streams
         if self.plan.initial == "file" and not self._streams[0].port.adopted:
+            if self._server is not None:
+                found = self._server.begin(self.values.keys() - self._given.keys())
+                with self._lock:
+                    self.values |= found
             self._restore()
 
     def apply(self, values: Mapping[str, Any], done: Done) -> None:

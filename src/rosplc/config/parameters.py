@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import yaml
 
@@ -19,7 +19,7 @@ from rosplc.config.yaml_source import Problems
 from rosplc.errors import ConfigError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.ros.parameters import Parameter
+from rosplc.ros.parameters import Parameter, converted
 
 if TYPE_CHECKING:
     from rosplc.config.settings import ParameterSettings
@@ -47,9 +47,6 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
     if not asked.declare:
         return None
     key, found = ("parameters", "declare"), len(problems)
-    if store.ros_version == 1:
-        problems.wrong(config.source, ("parameters",), f"{settings.ros.distro} has no parameters of nodes")
-        return None
     fields: dict[str, str] = {}
     declared: list[Parameter] = []
     capacities: dict[str, int] = {}
@@ -59,6 +56,9 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
         same = next((other for other, known in fields.items() if known == field), "")
         if same:
             problems.wrong(config.source, (*key, name), f"{name} and {same} would both be {field} in the PLC")
+        above = next((other for other in asked.declare if name.startswith(f"{other}.")), "")
+        if above and store.ros_version == 1:
+            problems.wrong(config.source, (*key, name), f"in ROS 1 {above} cannot also be a group")
         fields[name] = field
         most, longest = entry.capacity or settings.limits.sequence, entry.length or settings.limits.string
         if entry.type.endswith("_array"):
@@ -72,7 +72,7 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
     task = config.task(asked.task, ("parameters", "task"), problems)
     if len(problems) > found:
         return None
-    lines = (f"{_field_type(each.kind)} {fields[each.name]}\n" for each in declared)
+    lines = (f"{_field_type(each.kind, store)} {fields[each.name]}\n" for each in declared)
     text = f"uint64 number\nValues values\n{_SEPARATOR}\nMSG: rosplc_parameters/Values\n{''.join(lines)}"
     try:
         layout = compute_layout(store.with_definition(TYPE, text), TYPE, Limits(fields=capacities))
@@ -82,8 +82,11 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
     return ParametersPlan(tuple(declared), fields, asked.initial, task, layout)
 
 
-def _field_type(kind: str) -> str:
-    return _FIELD_TYPES[kind.removesuffix("_array")] + "[]" * kind.endswith("_array")
+def _field_type(kind: str, store: TypeStore) -> str:
+    element = _FIELD_TYPES[kind.removesuffix("_array")]
+    if store.ros_version == 1 and element == "byte":
+        element = "uint8"  # ROS 1's byte has a sign
+    return element + "[]" * kind.endswith("_array")
 
 
 def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> Parameter:
@@ -93,7 +96,7 @@ def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> 
     if entry.range is not None:
         if entry.type not in ("integer", "double"):
             raise ValueError(f"a {entry.type} has no range")
-        least, greatest, step = (_converted(entry.type, each) for each in (*entry.range, 0)[:3])
+        least, greatest, step = (converted(entry.type, each) for each in (*entry.range, 0)[:3])
         if not least <= greatest or step < 0:
             raise ValueError(f"the range {list(entry.range)} has nothing in it")
         span = least, greatest, step
@@ -101,36 +104,7 @@ def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> 
     if value is None:
         value = [] if kind != entry.type else {"bool": False, "string": ""}.get(kind, 0)
     found = Parameter(name, entry.type, None, entry.description, entry.read_only, span, most, longest)
-    return replace(found, value=_fitting(found, value))
-
-
-def _fitting(parameter: Parameter, value: Any) -> Any:
-    """Return a value of YAML as one that a parameter can have; ValueError with words if it cannot."""
-    found = _converted(parameter.kind, value)
-    if why := replace(parameter, read_only=False).refusal(parameter.kind, found):
-        raise ValueError(why)
-    return found
-
-
-def _converted(kind: str, value: Any) -> Any:
-    """Return a value of YAML as one of a kind of parameters; ValueError with words if it is none."""
-    from pydantic import Field, StrictBool, StrictInt, StrictStr, TypeAdapter, ValidationError
-
-    taken: dict[str, Any] = {
-        "bool": StrictBool,
-        "integer": Annotated[StrictInt, Field(ge=-(2**63), lt=2**63)],
-        "double": Annotated[float, Field(strict=True, allow_inf_nan=False)],
-        "string": StrictStr,
-        "byte": Annotated[StrictInt, Field(ge=0, le=255)],
-    }
-    element = kind.removesuffix("_array")
-    wanted: Any = taken[element]
-    try:
-        found: Any = TypeAdapter(wanted if element == kind else list[wanted]).validate_python(value)
-    except ValidationError as error:
-        wrong = error.errors()[0]
-        raise ValueError(f"{wrong['input']!r} is no {element if wrong['loc'] else kind}") from None
-    return bytes(found) if kind == "byte_array" else found
+    return replace(found, value=found.fitting(value))
 
 
 def given_values(arguments: Iterable[str], node: str, declared: Iterable[Parameter]) -> dict[str, Any]:
@@ -147,12 +121,12 @@ def given_values(arguments: Iterable[str], node: str, declared: Iterable[Paramet
             rule, _, text = next(words).partition(":=")
             which, _, name = rule.rpartition(":")
             if which in ("", node.rpartition("/")[2]):
-                values[name] = _yaml(text, f"-p {rule}")
+                values[name.replace("/", ".")] = _yaml(text, f"-p {rule}")
     found = {}
     for each in declared:
         if each.name in values:
             try:
-                found[each.name] = _fitting(each, values[each.name])
+                found[each.name] = each.fitting(values[each.name])
             except ValueError as error:
                 raise _refuse(each.name, str(error)) from None
     return found

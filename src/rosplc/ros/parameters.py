@@ -7,9 +7,10 @@ people; rclpy and rclcpp have others.
 from __future__ import annotations
 
 import math
+import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -29,6 +30,15 @@ EVENTS = "/parameter_events"
 _QOS = Qos(depth=1000)  # rmw's profiles for the services and the events of parameters
 _EVENT = "rcl_interfaces/msg/ParameterEvent"
 _MOST_DIGITS = 1e-9  # of a step, by which a double may miss it
+
+_PLAIN: dict[str, tuple[type, ...]] = {
+    "bool": (bool,), "integer": (int,), "double": (int, float), "string": (str,), "byte": (int,)
+}  # fmt: skip
+_LARGEST = {
+    "integer": (-(2**63), 2**63 - 1),
+    "double": (-sys.float_info.max, sys.float_info.max),  # neither infinite nor no number
+    "byte": (0, 255),
+}
 
 Done = Callable[[str], None]
 """Called once with the end of a change: empty if the values hold now, else why they do not."""
@@ -77,6 +87,13 @@ class Parameter:
             return f"{self.name} has room for {self.longest} bytes of text"
         return "" if self.range is None else self._outside(value)
 
+    def fitting(self, value: Any) -> Any:
+        """Return a value of YAML as one that this can have, read-only or not; ValueError with words."""
+        found = converted(self.kind, value)
+        if why := replace(self, read_only=False).refusal(self.kind, found):
+            raise ValueError(why)
+        return found
+
     def _outside(self, value: float) -> str:
         assert self.range is not None
         least, greatest, step = self.range
@@ -87,6 +104,22 @@ class Parameter:
             if abs(rest) > (step * _MOST_DIGITS if self.kind == "double" else 0):
                 return f"{self.name} has to be {least} and a multiple of {step} more"
         return ""
+
+
+def converted(kind: str, value: Any) -> Any:
+    """Return a value of YAML as one of a kind of parameters; ValueError with words if it is none."""
+    if kind.endswith("_array"):
+        if not isinstance(value, list):
+            raise ValueError(f"{value!r} is no {kind}")
+        found = [converted(kind.removesuffix("_array"), each) for each in value]
+        return bytes(found) if kind == "byte_array" else found
+    fits = isinstance(value, _PLAIN[kind]) and isinstance(value, bool) is (kind == "bool")
+    if fits and kind in _LARGEST:
+        least, greatest = _LARGEST[kind]
+        fits = least <= value <= greatest
+    if not fits:
+        raise ValueError(f"{value!r} is no {kind}")
+    return float(value) if kind == "double" else value
 
 
 def shown_parameters(values: Mapping[str, str | list[str]]) -> list[Parameter]:
@@ -138,6 +171,10 @@ class ParameterServer:
         for end in (*self._servers.values(), self._events):
             end.close()
 
+    def begin(self, names: Collection[str]) -> Mapping[str, Any]:
+        """Return values of these parameters that are there from before: none."""
+        return {}
+
     def changed(self, values: Mapping[str, Any]) -> None:
         """Take in values that hold now, and say so to whom it concerns."""
         with self._lock:
@@ -147,11 +184,11 @@ class ParameterServer:
             self._tell("changed_parameters", changed)
 
     def _take(self, values: Mapping[str, Any]) -> None:
-        """Have parameters take their values, of those that do so themselves."""
+        """Have parameters take their values themselves."""
         for name, value in values.items():
             if (take := self.declared[name].take) is not None:
                 take(value)
-                self.changed({name: value})
+        self.changed(values)
 
     def _tell(self, what: str, names: Iterable[str]) -> None:
         stamp = fields.time(self._clock.time_ns())
@@ -198,33 +235,28 @@ class ParameterServer:
     def _types(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
         answer(types=bytes(each.number for each in self._known(request["names"])))
 
-    def _wish(self, asked: Sequence[Mapping[str, Any]]) -> tuple[list[str], dict[str, Any]]:
-        """Return why each of some wishes cannot be, empty where it can, and those values."""
-        refused, values = [], {}
+    def _wish(self, asked: Any) -> tuple[list[str], dict[str, Any], dict[str, Any]]:
+        """Return why each of some wishes cannot be, empty where it can, and those values: own, others."""
+        refused: list[str] = []
+        own: dict[str, Any] = {}
+        others: dict[str, Any] = {}
         for each in asked:
             name, number = each["name"], each["value"]["type"]
             kind = KINDS[number - 1] if 1 <= number <= len(KINDS) else "not set"
             value = each["value"].get(f"{kind}_value")
             known = self.declared.get(name)
             refused.append(f"{name} is not declared" if known is None else known.refusal(kind, value))
-            if not refused[-1]:
-                values[name] = value
-        return refused, values
-
-    def _others(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return those of some values that ``apply`` is asked for."""
-        return {name: value for name, value in values.items() if self.declared[name].take is None}
+            if known is not None and not refused[-1]:
+                (others if known.take is None else own)[name] = value
+        return refused, own, others
 
     def _set(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
-        asked = request["parameters"]
-        refused, values = self._wish(asked)
-        others = self._others(values)
-        self._take(values)
+        names = [each["name"] for each in request["parameters"]]
+        refused, own, others = self._wish(request["parameters"])
+        self._take(own)
 
         def done(why: str) -> None:
-            reasons = [
-                reason or why * (each["name"] in others) for reason, each in zip(refused, asked, strict=True)
-            ]
+            reasons = [each or why * (name in others) for each, name in zip(refused, names, strict=True)]
             answer(results=[{"successful": not each, "reason": each} for each in reasons])
 
         if others:
@@ -233,15 +265,14 @@ class ParameterServer:
             done("")
 
     def _set_atomically(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
-        refused, values = self._wish(request["parameters"])
+        refused, own, others = self._wish(request["parameters"])
 
         def done(why: str) -> None:
-            if not why:
-                self._take(values)
+            self._take({} if why else own)
             answer(result={"successful": not why, "reason": why})
 
         why = "; ".join(filter(None, refused))
-        if (others := self._others(values)) and not why:
+        if others and not why:
             self._apply(others, done)
         else:
             done(why)

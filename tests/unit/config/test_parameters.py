@@ -63,10 +63,12 @@ def test_refusals(declared: str, words: str) -> None:
     assert words in str(caught.value)
 
 
-def test_ros_1_has_none() -> None:
-    """A node of ROS 1 has no parameters of its own."""
-    with pytest.raises(ConfigErrors, match="noetic has no parameters of nodes"):
-        resolve(parse_config("ros: {distro: noetic}\nparameters: {declare: {a: {type: bool}}}"))
+def test_names_in_ros_1() -> None:
+    """Groups are namespaces of the master there, which have no value."""
+    head = "ros: {distro: noetic}\nparameters: {declare: "
+    assert resolve(parse_config(head + "{a: {type: bool}, ab.c: {type: byte_array}}}")).parameters is not None
+    with pytest.raises(ConfigErrors, match=r"in ROS 1 a cannot also be a group"):
+        resolve(parse_config(head + "{a: {type: bool}, a.b: {type: bool}}}"))
 
 
 def given(arguments: list[str]) -> dict[str, Any]:

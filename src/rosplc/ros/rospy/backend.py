@@ -6,15 +6,17 @@ import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, graph_info, opener
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
+from rosplc.ros.parameters import Apply, Parameter
 from rosplc.ros.rospy.handshake import ANY, Definition, ros2_name
 from rosplc.ros.rospy.master import Master, RefusedError, SystemState, UnreachableError, read_address
+from rosplc.ros.rospy.parameters import MasterParameters
 from rosplc.ros.rospy.services import RospyClient, RospyServer
 from rosplc.ros.rospy.slave import Servers
 from rosplc.ros.rospy.topics import Incoming, Outgoing, RospyPublisher, RospySubscription
@@ -63,6 +65,8 @@ class Registration:
             with contextlib.suppress(UnreachableError, RefusedError):
                 for topic in self._registered.values():
                     topic.unregister(self._master)
+                if self._node.parameters is not None:
+                    self._node.parameters.leave(self._master)
         self._registered = {}
         self._master.close()
 
@@ -86,6 +90,8 @@ class Registration:
                 if now >= self._due_ns:
                     self._watch(wanted)
                 self._settle(wanted)
+                if (parameters := self._node.parameters) is not None:
+                    self._ask(("parameters of", self._node.node), parameters.look)
             except UnreachableError as error:
                 self._lost(str(error))
         for one in (*wanted.values(), *self._node.clients()):
@@ -172,6 +178,7 @@ class RospyBackend(BaseNode):
         # bounds how many connections are being made at once
         self.connecting = threading.BoundedSemaphore(_CONNECTING)
         self.ended = ""  # why the node was told to leave the graph; empty if it was not
+        self.parameters: MasterParameters | None = None  # what it has on the master's server
         self._topics: dict[Key, Any] = {}
         self._ending: list[Any] = []
         self._registration: Registration | None = None
@@ -278,6 +285,12 @@ class RospyBackend(BaseNode):
         """Return who serves a service, as the master knew it a second ago at most."""
         registration = self._registration
         return registration.state.services.get(service, frozenset()) if registration else frozenset()
+
+    def keep_parameters(self, declared: Sequence[Parameter], apply: Apply | None = None) -> MasterParameters:
+        """Keep parameters on the master's parameter server; ``apply`` is asked as by a ParameterServer."""
+        self.parameters = MasterParameters(self, declared, apply)
+        self.wake()
+        return self.parameters
 
     def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
         """Take the master's word for who publishes a topic."""

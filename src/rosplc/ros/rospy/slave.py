@@ -51,7 +51,10 @@ class _Api:
         return 1, "publications", _types(self._node.having("out"))
 
     def paramUpdate(self, caller_id: object, key: object, value: object) -> tuple[int, str, int]:
-        return -1, "not subscribed", 0
+        if (parameters := self._node.parameters) is None:
+            return -1, "not subscribed", 0
+        parameters.notice()
+        return 1, "", 0
 
     def publisherUpdate(self, caller_id: object, topic: object, publishers: object) -> tuple[int, str, int]:
         if not isinstance(topic, str) or not isinstance(publishers, list):
