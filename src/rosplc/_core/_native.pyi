@@ -261,6 +261,8 @@ class Group:
         """Add a writer, for beat(), and return its index."""
     def remove(self, index: int, /) -> None:
         """Let go of a channel. Its index may be given out again. Raises IndexError."""
+    def divert(self, index: int, capsule: object, /) -> None:
+        """Have take() put a channel's messages into a sink, and return those that it does not take."""
     def wait(self, tick_ns: int, timeout_ns: int = -1, /) -> int:
         """Sleep to the next tick of an absolute-time grid until a channel has news; return how many have.
 

@@ -7,6 +7,7 @@
  * look. Nobody waits for the GIL while holding it.
  */
 #include "py_channel.h"
+#include "sink.h"
 
 #include <errno.h>
 #include <pthread.h>
@@ -21,6 +22,8 @@ typedef struct {
     WriterObject *writer; /* or this, or neither: a free entry */
     PyObject *plan_object;
     const rp_plan *plan;
+    PyObject *capsule; /* NULL, or what holds the sink that messages go into */
+    rosplc_sink *sink;
     int mode;
     uint32_t limit;
     uint32_t rejected, looks; /* the head that take() could not take, 0 none; looks to ignore it for */
@@ -79,6 +82,7 @@ static void group_drop(GroupObject *self, Py_ssize_t index)
     Py_XDECREF((PyObject *)entry.reader);
     Py_XDECREF((PyObject *)entry.writer);
     Py_XDECREF(entry.plan_object);
+    Py_XDECREF(entry.capsule);
 }
 
 static void group_dealloc(GroupObject *self)
@@ -154,7 +158,7 @@ static PyObject *group_add_reader(GroupObject *self, PyObject *args)
         return PyErr_Format(PyExc_ValueError, "the plan's records have %lu bytes, those of %U have %lu",
                             (unsigned long)plan->record_size, reader->owner->path,
                             (unsigned long)reader->owner->region.geometry.record_size);
-    bound = rp_encoded_bound(plan);
+    bound = rp_encoded_bound(plan) + ROSPLC_SINK_ROOM;
     if (bound > self->wire_size) {
         uint8_t *wire = PyMem_Realloc(self->wire, bound);
         if (!wire)
@@ -182,14 +186,36 @@ static PyObject *group_add_writer(GroupObject *self, PyObject *object)
     return group_add(self, (Entry){.writer = writer});
 }
 
+static int group_has(GroupObject *self, Py_ssize_t index)
+{
+    if (index >= 0 && index < self->count && (self->entries[index].reader || self->entries[index].writer))
+        return 1;
+    PyErr_Format(PyExc_IndexError, "the group has no channel %zd", index);
+    return 0;
+}
+
 static PyObject *group_remove(GroupObject *self, PyObject *args)
 {
     Py_ssize_t index;
-    if (!PyArg_ParseTuple(args, "n:remove", &index) || group_settled(self))
+    if (!PyArg_ParseTuple(args, "n:remove", &index) || group_settled(self) || !group_has(self, index))
         return NULL;
-    if (index < 0 || index >= self->count || (!self->entries[index].reader && !self->entries[index].writer))
-        return PyErr_Format(PyExc_IndexError, "the group has no channel %zd", index);
     group_drop(self, index);
+    Py_RETURN_NONE;
+}
+
+static PyObject *group_divert(GroupObject *self, PyObject *args)
+{
+    Py_ssize_t index;
+    PyObject *capsule, *before;
+    rosplc_sink *sink;
+    if (!PyArg_ParseTuple(args, "nO:divert", &index, &capsule) || !(sink = PyCapsule_GetPointer(capsule, ROSPLC_SINK))
+        || group_settled(self) || !group_has(self, index))
+        return NULL;
+    before = self->entries[index].capsule;
+    Py_INCREF(capsule);
+    self->entries[index].capsule = capsule;
+    self->entries[index].sink = sink;
+    Py_XDECREF(before);
     Py_RETURN_NONE;
 }
 
@@ -289,6 +315,24 @@ static PyObject *caught(void)
     return value;
 }
 
+/* Puts the message that was just encoded into the entry's sink; 0 if it took it. */
+static int put_one(GroupObject *self, Entry *entry, const rosplc_take *take, size_t used)
+{
+    int64_t stamp = (int64_t)((uint64_t)take->stamp_hi << 32 | take->stamp_lo);
+    struct timespec now;
+    if (!entry->sink)
+        return -1;
+    if (take->stamp_clock != ROSPLC_STAMP_SYSTEM || stamp <= 0 || stamp == INT64_MAX) {
+        clock_gettime(CLOCK_REALTIME, &now);
+        stamp = (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
+    }
+    /* Python counts what was shortened, and finds that another bridge has taken the topic over. */
+    if (take->flags & ROSPLC_FLAG_TRUNCATED || !rosplc_reader_owned(&entry->reader->reader))
+        stamp = 0;
+    memset(self->wire + used, 0, ROSPLC_SINK_ROOM);
+    return rosplc_sink_put(entry->sink, self->wire, used, stamp);
+}
+
 /* One message, if there is one: 1 taken, 0 nothing, -1 an exception. */
 static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyObject *faults)
 {
@@ -307,7 +351,8 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
     if (accepted) /* only reported: the owner of the reader takes it */
         take.sequence = rosplc_load(&reader->region->header->writer.head);
     while (!accepted && rosplc_take_begin(reader, &take)) {
-        int result = rp_encode(entry->plan, rosplc_record(take.slot), self->wire, self->wire_size, &used, &fault);
+        int result = rp_encode(entry->plan, rosplc_record(take.slot), self->wire, self->wire_size - ROSPLC_SINK_ROOM,
+                               &used, &fault);
         if (rosplc_take_check(reader, &take)) {
             rosplc_take_accept(reader, &take); /* stores `taken`: before anybody sends (M15) */
             accepted = 1;
@@ -329,6 +374,8 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
         rp_raise_fault(&fault);
         return append_pair(faults, index, caught()) ? -1 : 1;
     }
+    if (entry->mode != ROSPLC_TAKE_PEEK && !put_one(self, entry, &take, used))
+        return 1;
     message = Py_BuildValue("(ny#kkKk)", index, (const char *)self->wire, (Py_ssize_t)used,
                             (unsigned long)take.sequence, (unsigned long)take.flags,
                             (unsigned long long)take.stamp_hi << 32 | take.stamp_lo, (unsigned long)take.stamp_clock);
@@ -410,6 +457,8 @@ static PyMethodDef methods[] = {
      " at most limit per take()."},
     {"add_writer", (PyCFunction)group_add_writer, METH_O, "add_writer(writer) -> index, for beat()."},
     {"remove", (PyCFunction)group_remove, METH_VARARGS, "remove(index): let go of a channel."},
+    {"divert", (PyCFunction)group_divert, METH_VARARGS,
+     "divert(index, capsule): take() puts messages into this sink, and returns those that it does not take."},
     {"wait", (PyCFunction)group_wait, METH_VARARGS,
      "wait(tick_ns, timeout_ns=-1) -> number of channels with news; 0 after wake() or the timeout."},
     {"wake", (PyCFunction)group_wake, METH_NOARGS, "Make wait() return at its next tick; from any thread."},

@@ -302,9 +302,9 @@ class Grouped(Ports[_P]):
         """End the sleep."""
         self._group.wake()
 
-    def _wait(self, tick_ns: int, longest_ns: int, due_ns: int | None) -> None:
+    def _wait(self, tick_ns: int, longest_ns: int, due_ns: int | None) -> int:
         left = longest_ns if due_ns is None else max(0, min(longest_ns, due_ns - self._now()))
-        self._group.wait(tick_ns, left)
+        return self._group.wait(tick_ns, left)
 
 
 class ChannelsToRos(Grouped[PortToRos]):
@@ -321,11 +321,15 @@ class ChannelsToRos(Grouped[PortToRos]):
         if port.user is not None:
             plan = port.side.plan
             mode = _IN_ORDER if plan.every else 0
-            self._ports[self._group.add_reader(port.user, port.side.codec.plan, mode, plan.slots)] = port
+            index = self._group.add_reader(port.user, port.side.codec.plan, mode, plan.slots)
+            self._ports[index] = port
+            if port.sink is not None:
+                self._group.divert(index, port.sink.capsule)
 
     def poll(self, due_ns: int | None) -> None:
         """Sleep until there is news, looked for at each tick."""
-        self._wait(self.tick(self._now()), _LONGEST_WAIT_NS, due_ns)
+        if self._wait(self.tick(self._now()), _LONGEST_WAIT_NS, due_ns):
+            self._alert_until_ns = self._now() + _ALERT_NS
 
     def tick(self, now_ns: int) -> int:
         """Return the time between two looks: longer while no PLC writes."""
@@ -337,8 +341,6 @@ class ChannelsToRos(Grouped[PortToRos]):
         """Take what is new from all channels in one call, and pass it on."""
         messages, faults = self._group.take()
         ports = self._ports
-        if messages:
-            self._alert_until_ns = now_ns + _ALERT_NS
         for index, data, _sequence, flags, stamp_ns, stamp_clock in messages:
             try:
                 ports[index].side.receive(data, flags, stamp_ns, stamp_clock)

@@ -319,7 +319,11 @@ class ToRos(Stream):
     def _connect(self, backend: Backend) -> None:
         plan = self.plan
         self._backend = backend
+        passed = self._passed()  # with the publisher before
+        self.counters.received += passed
+        self.counters.published += passed
         self._endpoint = self._publisher = backend.advertise(plan.topic, plan.type_name, plan.qos)
+        self._sink = self.port.sink = getattr(self._publisher, "sink", None)
         if self._substitute is not None:
             # A ROS message has no room for a flag: another topic tells whether substitutes are published.
             self._flag = backend.advertise(flag_topic(plan.topic), _BOOL, _FLAG_QOS)
@@ -394,6 +398,8 @@ class ToRos(Stream):
         if (failure := self._write(data, stamp_ns)) is None:
             count.published += counted
             self._print("from", data)
+            if counted:
+                self._open_sink(self._publisher)
         elif self._unsent is not None and failure[1] == "ROS009":
             self._unsent.keep((data, stamp_ns), now_ns)
             self.note(now_ns, f"the newest message waits: {failure[0]}", failure[1])
@@ -413,6 +419,10 @@ class ToRos(Stream):
         except Exception as error:  # a backend's own mistake must not stop the other streams
             return f"{type(error).__name__}: {error}", ""
         return None if sent else ("a subscriber does not keep up", "")
+
+    def _plain(self) -> bool:
+        waits = self._unsent is not None and self._unsent.due_ns is not None
+        return not waits and not self.plan.print and all(one is self._unsent for one in self.hold.stages)
 
     def _give_up_unsent(self) -> None:
         """Count the message that waits for an active node as lost: something newer takes its place."""

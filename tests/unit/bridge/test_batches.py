@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -16,8 +17,8 @@ from rosplc.config import parse_config
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, Publisher, Qos, open_backend
 from rosplc.ros.dds import _batch, batches
-from rosplc.shm import Attached, Direction, Namespace, Sink, attach
-from rosplc.shm.constants import FLAG_FIRST
+from rosplc.shm import Attached, Direction, Namespace, Sink, Writer, attach
+from rosplc.shm.constants import FLAG_FIRST, READER_LINES_OFFSET
 from tests.interop.graphs import LOCAL, STRING, free_domain, string
 from tests.lib.waiting import wait_for
 
@@ -35,15 +36,15 @@ class Cell:
     """A bridge over DDS, another node, and what a PLC reads."""
 
     def __init__(self, namespace: Namespace, domain: int) -> None:
-        self._namespace, self._domain = namespace, domain
+        self.namespace, self._domain = namespace, domain
         self.peer: Backend = open_backend("dds", STORE, "peer", domain=domain, environment=LOCAL)
         self.bridge: Bridge | None = None
-        self._attached: list[Attached] = []
+        self.attached: list[Attached] = []
 
     def start(self, topic: str) -> Bridge:
         """Start a bridge with one topic, given as its line of the configuration."""
         text = (
-            f"bridge: cell\nprefix: {self._namespace.prefix}\nros: {{backend: dds, domain: {self._domain}}}\n"
+            f"bridge: cell\nprefix: {self.namespace.prefix}\nros: {{backend: dds, domain: {self._domain}}}\n"
             f"diagnostics: {{enabled: false}}\ntopics:\n  {topic}\n"
         )
         self.bridge = Bridge(parse_config(text))
@@ -58,8 +59,8 @@ class Cell:
 
     def reading(self, topic: str) -> Callable[[], list[tuple[bytes, int]]]:
         """Return what takes every record that has come since, with its flags."""
-        attached = attach(self._namespace, topic, direction=Direction.TO_PLC, write=True)
-        self._attached.append(attached)
+        attached = attach(self.namespace, topic, direction=Direction.TO_PLC, write=True)
+        self.attached.append(attached)
         reader, record = attached.reader("plc", observe=False), bytearray(attached.identity.record_size)
 
         def take() -> list[tuple[bytes, int]]:
@@ -86,7 +87,7 @@ class Cell:
         """End everything."""
         if self.bridge is not None:
             self.bridge.stop()
-        for attached in self._attached:
+        for attached in self.attached:
             attached.close()
         self.peer.close()
 
@@ -236,6 +237,103 @@ def test_another_definition_is_refused_message_by_message(cell: Cell) -> None:
         send(source, range(count, count + 1))
         wait_for(lambda count=count: cell.status.published == count)
     assert cell.stream.port.sink.messages == passed > 0
+
+
+def out(cell: Cell, setting: str) -> tuple[Writer, list[tuple[int, int]]]:
+    """Start a bridge with one topic to ROS; return the PLC's writer, and what the other node hears."""
+    cell.start(f"/out: {{type: {INT}, to: ros, slots: 4096, {setting}}}")
+    heard: list[tuple[int, int]] = []
+    qos = Qos(depth=5000)
+    cell.peer.subscribe("/out", INT, qos, lambda data, at: heard.append((struct.unpack("<4xi", data)[0], at)))
+    wait_for(lambda: cell.stream.endpoint().matched > 0)
+    attached = attach(cell.namespace, "/out", direction=Direction.TO_ROS, write=True)
+    cell.attached.append(attached)
+    return attached.writer(1000), heard
+
+
+def warm(cell: Cell, writer: Writer, heard: list[tuple[int, int]]) -> None:
+    """Send until messages pass in C: the first waits for subscribers, and goes through Python."""
+    while not cell.stream.port.sink.messages:
+        before = len(heard)
+        writer.publish(struct.pack("<i", 0))
+        wait_for(lambda before=before: len(heard) > before)
+    heard.clear()
+
+
+@pytest.mark.parametrize("latched", ["true", "false"])
+@pytest.mark.parametrize("in_c", [True, False])
+def test_every_message_reaches_ros(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch, in_c: bool, latched: str
+) -> None:
+    """All arrive in order, with their stamps, and are counted; only with batches do they pass in C."""
+    if not in_c:
+        for module in ("backend", "endpoint"):
+            monkeypatch.setattr(f"rosplc.ros.dds.{module}.obstacle", lambda: "not now")
+    writer, heard = out(cell, f"latched: {latched}")
+    for value in range(1000):
+        writer.publish(struct.pack("<i", value), stamp_ns=10**18 + value)
+        if value % 100 == 0:
+            wait_for(lambda value=value: len(heard) == value + 1)
+    wait_for(lambda: len(heard) == 1000)
+    assert heard == [(value, 10**18 + value) for value in range(1000)]
+    status = cell.status
+    assert (status.received, status.published, status.lost, status.refused) == (1000, 1000, 0, 0)
+    assert cell.stream.endpoint().messages == 1000
+    assert 0 <= status.age_ns < 10_000_000_000
+    if in_c:
+        assert cell.stream.port.sink.messages > 800
+    else:
+        assert cell.stream.port.sink is None
+
+
+def test_a_message_without_a_time_gets_the_present(cell: Cell) -> None:
+    """A stamp of the PLC's own clock, or none, means nothing in ROS."""
+    writer, heard = out(cell, "latched: false")
+    warm(cell, writer, heard)
+    before, passed = time.time_ns(), cell.stream.port.sink.messages
+    for count, stamp in enumerate(({}, {}, {"stamp_ns": 5, "stamp_clock": 2}, {"stamp_ns": 2**63 - 1}), 1):
+        writer.publish(struct.pack("<i", count), **stamp)  # type: ignore[arg-type]
+        wait_for(lambda count=count: len(heard) == count)
+    assert all(before <= at <= time.time_ns() for _, at in heard)
+    assert cell.stream.port.sink.messages == passed + 4
+
+
+def test_another_bridge_that_takes_over_is_noticed(cell: Cell) -> None:
+    """What comes after this bridge lost its line is not sent in C either."""
+    writer, heard = out(cell, "latched: false")
+    warm(cell, writer, heard)
+    with (
+        cell.stream.port.channel.path.open("r+b") as file,
+        mmap.mmap(file.fileno(), READER_LINES_OFFSET + 4) as words,
+    ):
+        words[READER_LINES_OFFSET] ^= 1  # another's claim of the line
+    writer.publish(struct.pack("<i", 9))
+    wait_for(lambda: "SHM116" in cell.status.problem or cell.status.lost)
+    assert heard == []
+
+
+@pytest.mark.parametrize("setting", ["on_change: true", "rate_limit: 1kHz", "print: true"])
+def test_what_python_has_to_see_is_not_sent_in_c(cell: Cell, setting: str) -> None:
+    """A stream that compares, holds back or prints its messages gets each of them."""
+    writer, heard = out(cell, setting)
+    for count in range(1, 4):
+        writer.publish(struct.pack("<i", count))
+        wait_for(lambda count=count: len(heard) == count)
+    assert cell.stream.port.sink.messages == 0
+
+
+def test_a_large_message_is_warned_of(cell: Cell, caplog: pytest.LogCaptureFixture) -> None:
+    """One that others lose goes through Python once, which says so; later ones pass in C."""
+    writer, heard = out(cell, "latched: false")
+    warm(cell, writer, heard)
+    cell.stream._publisher._large = 4
+    cell.stream._publisher.open_sink(0)
+    passed = cell.stream.port.sink.messages
+    for count in range(1, 6):
+        writer.publish(struct.pack("<i", count))
+        wait_for(lambda count=count: len(heard) == count)
+    assert caplog.text.count("does not fit into a default receive buffer") == 1
+    assert cell.stream.port.sink.messages == passed + 4
 
 
 def test_a_closed_sink_takes_nothing() -> None:
