@@ -29,7 +29,6 @@ import yaml
 from rosplc.model import TypeStore
 from rosplc.model.folders import split_definition
 from rosplc.model.interfaces import PARTS, kind_of
-from rosplc.model.store import bundled
 
 PLAN = Path(__file__).with_name("interfaces.yaml")
 TARGET = Path(__file__).parents[1] / "src/rosplc/model/interfaces.txt"
@@ -71,7 +70,8 @@ def is_interface(name: str) -> bool:
 
 def texts(distro: str, folders: list[Path]) -> dict[str, str]:
     """Return the text of every service and action below some folders that the distribution has types for."""
-    store = TypeStore(distro, bundled(distro)[0]).with_paths(folders)
+    own = TypeStore.bundled(distro)
+    store = TypeStore(distro, {name: own[name] for name in own.names()}).with_paths(folders)
     for problem in store.problems():
         print(problem, file=sys.stderr)
     return {name: text_of(store, name) for name in (*store.services(), *store.actions())}

@@ -30,9 +30,9 @@ from rosplc.init.found import Reader
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
+from rosplc.model.fingerprints import rihs01, type_text
 from rosplc.model.folders import read, save_definitions, split_definition
 from rosplc.model.parse import MAX_NAME, MAX_TEXT, full_name, parse_definition
-from rosplc.model.store import rihs01, type_text
 from rosplc.ros import SERVICES, Backend, Reply, RosArguments, settled_graph
 from rosplc.ros.names import resolve_topic
 

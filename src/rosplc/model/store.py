@@ -1,8 +1,4 @@
-"""The types that are known: a distribution's own, and custom ones added to it; and their fingerprints.
-
-ROS 2's RIHS01 is REP-2016's hash of the type description as JSON; the numbers are
-``type_description_interfaces/msg/FieldType``'s. ROS 1's MD5 is over the definition without comments,
-constants first, with nested types replaced by their own MD5.
+"""The types that are known: a distribution's own, and custom ones added to it.
 
 rosbags' stores leave default values out. These were collected from every ``.msg`` file of the bundled
 packages on the distributions' branches (ros2/common_interfaces, rcl_interfaces, geometry2, rosbag2,
@@ -18,95 +14,20 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from rosplc.errors import MessageTypeError
 from rosplc.model import types as kinds
-from rosplc.model._rosbags import DISTROS, EMPTY_MEMBER, bundled_types
+from rosplc.model._rosbags import DISTROS, bundled_types
+from rosplc.model.fingerprints import ROS1_TIMES, md5_text, rihs01
 from rosplc.model.folders import parse_paths, read
 from rosplc.model.interfaces import EVENT_INFO, PARTS, derive, describe, kind_of, owners_of, parse_interface
 from rosplc.model.parse import ParsedType, format_value, full_name, parse_definition
 from rosplc.model.types import ActionType, MessageType, ServiceType
-
-# Types that ROS 1 has built in, under another name.
-ROS1_TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
-
-# `char` is 3, not FieldType's own 13: rosidl turns a .msg file's char into uint8 first.
-_TYPE_IDS = {
-    "int8": 2, "uint8": 3, "char": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7,
-    "int64": 8, "uint64": 9, "float32": 10, "float64": 11, "bool": 15, "byte": 16,
-}  # fmt: skip
-_NESTED, _STRING, _BOUNDED_STRING = 1, 17, 21
-_WRITTEN = {number: name for name, number in _TYPE_IDS.items() if name != "char"}
-# What is not carried is written as well, so that the parser of definitions names it.
-_WRITTEN |= {12: "float128", 14: "wchar", _STRING: "string", 18: "wstring", 22: "wstring"}
-_ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144  # added to the element's id
-
-
-def rihs01(message: MessageType, dependencies: list[MessageType]) -> str:
-    """Return the type hash ``RIHS01_<64 hexadecimal digits>``; dependencies are direct and indirect ones."""
-    description = {
-        "type_description": _describe(message),
-        "referenced_type_descriptions": [
-            _describe(other) for other in sorted(dependencies, key=lambda m: m.name)
-        ],
-    }
-    return "RIHS01_" + hashlib.sha256(json.dumps(description).encode()).hexdigest()
-
-
-def type_text(type_id: int, capacity: int, string_capacity: int, nested_type_name: str) -> str:
-    """Return how a definition writes the type that a FieldType describes; an unknown one becomes no type."""
-    length, number = divmod(type_id, _ARRAY)
-    element = nested_type_name.replace("/msg/", "/") if number == _NESTED else _WRITTEN.get(number, "?")
-    if number == _BOUNDED_STRING:
-        element = f"string<={string_capacity}"
-    return element + ("", f"[{capacity}]", f"[<={capacity}]", "[]", "?", "?")[length]
-
-
-def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:
-    """Return the text whose MD5 identifies a type in ROS 1; ``md5_of`` gives that of a nested type."""
-    lines = [f"{c.type} {c.name}={c.text}" for c in message.constants]
-    for field in message.fields:
-        kind, element = field.type, field.type.inner
-        if isinstance(element, kinds.NamedType) and element.name not in ROS1_TIMES:
-            lines.append(f"{md5_of(element.name)} {field.name}")  # brackets are left out there
-        elif isinstance(element, kinds.NamedType):
-            lines.append(f"{str(kind).replace(element.name, ROS1_TIMES[element.name])} {field.name}")
-        else:
-            lines.append(f"{kind} {field.name}")
-    return "\n".join(lines)
-
-
-def _describe(message: MessageType) -> dict[str, Any]:
-    fields = message.fields or (kinds.Field(EMPTY_MEMBER, kinds.PrimitiveType("uint8")),)
-    return {"type_name": message.name, "fields": [_describe_field(field) for field in fields]}
-
-
-def _describe_field(field: kinds.Field) -> dict[str, Any]:
-    kind: kinds.FieldType = field.type
-    offset = capacity = string_capacity = 0
-    if isinstance(kind, kinds.ArrayType):
-        offset, capacity, kind = _ARRAY, kind.length, kind.element
-    elif isinstance(kind, kinds.SequenceType):
-        offset = _SEQUENCE if kind.bound is None else _BOUNDED_SEQUENCE
-        capacity, kind = kind.bound or 0, kind.element
-    if isinstance(kind, kinds.NamedType):
-        number = _NESTED
-    elif isinstance(kind, kinds.StringType):
-        number, string_capacity = _STRING if kind.bound is None else _BOUNDED_STRING, kind.bound or 0
-    else:
-        number = _TYPE_IDS[str(kind)]
-    # The order of the keys is part of the hash.
-    own = {"type_id": offset + number, "capacity": capacity, "string_capacity": string_capacity}
-    nested = kind.name if isinstance(kind, kinds.NamedType) else ""
-    return {"name": field.name, "type": {**own, "nested_type_name": nested}}
-
 
 _EVERY_ROS2: dict[str, dict[str, kinds.Value]] = {
     "geometry_msgs/msg/Quaternion": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
@@ -117,42 +38,6 @@ _SINCE_JAZZY: dict[str, dict[str, kinds.Value]] = {
     "sensor_msgs/msg/NavSatStatus": {"status": -2},
     "type_description_interfaces/msg/FieldType": {"type_id": 0},
 }
-
-
-def bundled(distro: str) -> tuple[dict[str, MessageType], dict[str, tuple[str]]]:
-    """Return every message of a distribution, with default values, and the texts of services and actions."""
-    types = bundled_types(distro)
-    version = 1 if distro == "noetic" else 2
-    if version == 2:
-        types = with_defaults(types, _EVERY_ROS2 if distro == "humble" else _SINCE_JAZZY)
-    own: dict[str, MessageType] = {}
-    interfaces: dict[str, tuple[str]] = {}
-    for section in files("rosplc.model").joinpath("interfaces.txt").read_text().split("\n==== ")[1:]:
-        head, _, text = section.partition("\n")
-        name, *distros = head.split()
-        if distro not in distros:
-            continue
-        if "/msg/" in name:
-            own[name] = parse_definition(name, text, ros_version=version)[0].message
-        else:
-            interfaces[name] = (text,)
-    return own | types, interfaces
-
-
-def with_defaults(
-    types: dict[str, MessageType], defaults: dict[str, dict[str, kinds.Value]]
-) -> dict[str, MessageType]:
-    """Return ``types`` with default values; LookupError for a type or field that is missing."""
-    result = dict(types)
-    for name, values in defaults.items():
-        message = result[name]
-        if missing := values.keys() - {field.name for field in message.fields}:
-            raise LookupError(f"{name} has no field {sorted(missing)}")
-        result[name] = replace(
-            message, fields=tuple(replace(f, default=values.get(f.name)) for f in message.fields)
-        )
-    return result
-
 
 __all__ = ["DISTROS", "MAX_DEPTH", "TypeStore"]
 
@@ -548,7 +433,21 @@ def _same_shape(one: MessageType, other: MessageType) -> bool:
 
 @cache
 def _bundled(distro: str) -> TypeStore:
-    types, interfaces = bundled(distro)
-    store = TypeStore(distro, types)
-    store._interfaces |= interfaces
+    types = bundled_types(distro)
+    defaults = {"noetic": {}, "humble": _EVERY_ROS2}.get(distro, _SINCE_JAZZY)
+    for name, values in defaults.items():
+        known = (replace(field, default=values.get(field.name)) for field in types[name].fields)
+        types[name] = replace(types[name], fields=tuple(known))
+    own: dict[str, MessageType] = {}
+    store = TypeStore(distro, {})
+    for section in files("rosplc.model").joinpath("interfaces.txt").read_text().split("\n==== ")[1:]:
+        head, _, text = section.partition("\n")
+        name, *distros = head.split()
+        if distro not in distros:
+            continue
+        if "/msg/" in name:
+            own[name] = parse_definition(name, text, ros_version=store.ros_version)[0].message
+        else:
+            store._interfaces[name] = (text,)
+    store._types |= own | types
     return store

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rosplc.model import TypeStore
-from rosplc.model.store import _describe
+from rosplc.model.fingerprints import _describe
 from rosplc.ros import LATCHED, SENSOR_DATA, SERVICES, Backend, Qos, open_backend
 from tests.codec_oracle import Oracle
 
