@@ -26,6 +26,8 @@ FLAGS = [
 TESTS = (
     "tests/unit/core/test_native_channel.py",
     "tests/unit/core/test_group.py",
+    "tests/unit/core/test_sink.py",
+    "tests/unit/bridge/test_batches.py",
     "tests/crash/test_scribbled_object.py",
     "tests/unit/codec/test_codec.py",
 )
@@ -45,6 +47,9 @@ def test_the_extension_under_sanitizers(tmp_path: Path) -> None:
         ["gcc", *FLAGS, *limited, f"-I{include}", f"-I{package / 'include'}", *sources, "-o", str(library)],
         check=True,
     )
+    includes = [f"-I{path}" for path in (include, package / "_core")]
+    batches = [package / "ros/dds/batch.c", "-o", package / "ros/dds/_batch.abi3.so"]
+    subprocess.run(["gcc", *FLAGS, *limited, *includes, *batches], check=True)
     runtime = subprocess.run(
         ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
     ).stdout.strip()
