@@ -14,6 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from rosplc.bridge import Bridge
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
@@ -25,28 +27,31 @@ from rosplc.ros import open_backend
 from rosplc_st.build import Build, build
 from rosplc_st.machine import LibraryMachine
 from tests.interop.zenoh.processes import Router, free_port
-from tests.verification.plc_cell import layout_of, store
+from tests.verification.plc_cell import TARGETS, layout_of, store
 
 WATCHDOG_S = 100.0
+RULES = ["64-bit", "delayed", pytest.param("32-bit-with-barrier", marks=pytest.mark.foreign)]
+"""How a PLC's program can be made: with fences, without them, and for 32 bits."""
 
 
 @cache
-def built(config: str, own: str = "", delayed: bool = False) -> tuple[Build, tuple[str, ...]]:
+def built(config: str, own: str = "", rule: str = "64-bit") -> tuple[Build, tuple[str, ...]]:
     """Return the PLC's program, generated from a configuration, and what its tasks call.
 
-    ``own`` is a further program, ``Own``, called after the first; ``delayed``: without fences.
+    ``own`` is a further program, ``Own``, called after the first; ``rule`` is one of RULES.
     """
     project = resolve(parse_config(config.replace("FOLDER", "/dev/shm")))
     # A PLC that a busy machine stops for a while is no silent one.
+    target, delayed = TARGETS.get(rule, TARGETS["64-bit"]), rule == "delayed"
     made = plc_project(
-        project, ProjectOptions(beat_ms=10_000, target="arm" if delayed else "x86", fenced=not delayed)
+        project, ProjectOptions(beat_ms=10_000, target="arm" if delayed else target[2], fenced=not delayed)
     )
     names = [name for task in made.tasks for name in task.programs]
     texts = project_texts(made)
     if own:
         names.insert(1, "Own")
         texts = {**texts, "Own": own}
-    return build(texts), tuple(names)
+    return build(texts, target[0]), tuple(names)
 
 
 def codec(message: str) -> Codec:
@@ -71,7 +76,7 @@ class Joint:
         gvl: The list of the instances.
         domain: The ROS domain.
         backend: ``memory``, or another: the bridge is a process of its own then.
-        own, delayed: As for :func:`built`.
+        own, rule: As for :func:`built`.
         clock: The bridge's, with ``memory``.
         options: The backend's own, for the node on the other side.
     """
@@ -84,13 +89,13 @@ class Joint:
         backend: str = "memory",
         own: str = "",
         clock: Clock = SYSTEM,
-        delayed: bool = False,
+        rule: str = "64-bit",
         options: Mapping[str, object] | None = None,
     ) -> None:
         self.clock = clock
         self.config, self.gvl, self.backend = config, gvl, backend
         self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
-        made, self.programs = built(config, own, delayed)
+        made, self.programs = built(config, own, rule)
         self.machine = LibraryMachine(made, str(self.folder))
         self.machine.start()
         self.peer: Any = None  # of ROS 1 a test has its own

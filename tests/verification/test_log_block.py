@@ -9,7 +9,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from rosplc.ros import Qos
-from tests.verification.joint import Joint, made_joint
+from tests.verification.joint import RULES, Joint, made_joint
 
 pytestmark = pytest.mark.verifies("ros-blocks", own="translated Structured Text")
 
@@ -34,9 +34,9 @@ END_PROGRAM
 """
 
 
-@pytest.fixture(params=[False, True], ids=["fences", "delayed"])
+@pytest.fixture(params=RULES)
 def joint(request: pytest.FixtureRequest) -> Iterator[Joint]:
-    with made_joint(CONFIG, "ROS_Write", DOMAIN, own=OWN, delayed=request.param) as made:
+    with made_joint(CONFIG, "ROS_Write", DOMAIN, own=OWN, rule=request.param) as made:
         yield made
 
 

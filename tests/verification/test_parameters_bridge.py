@@ -10,7 +10,7 @@ import pytest
 from rosplc.ros import Qos, fields
 from rosplc.ros.parameters import EVENTS, KINDS
 from tests.interop.graphs import LOCAL, free_domain
-from tests.verification.joint import Joint, made_joint, ros_side
+from tests.verification.joint import RULES, Joint, made_joint, ros_side
 from tests.verification.plc_cell import store
 
 pytestmark = pytest.mark.verifies("ros-blocks", own="translated Structured Text")
@@ -123,9 +123,9 @@ def some(values: dict[str, Any]) -> dict[str, Any]:
     return {name: values[name] for name in ("max_speed", "count", "arm.on", "arm.gains")}
 
 
-@pytest.fixture
-def joint() -> Iterator[Joint]:
-    with made_joint(CONFIG, "ROS_Parameters", DOMAIN) as made:
+@pytest.fixture(params=RULES)
+def joint(request: pytest.FixtureRequest) -> Iterator[Joint]:
+    with made_joint(CONFIG, "ROS_Parameters", DOMAIN, rule=request.param) as made:
         yield made
 
 

@@ -9,7 +9,7 @@ import pytest
 from rosplc.ros import Publisher, Qos
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
-from tests.verification.joint import Joint, encode, made_joint
+from tests.verification.joint import RULES, Joint, encode, made_joint
 
 pytestmark = pytest.mark.verifies("ros-blocks", own="translated Structured Text")
 
@@ -32,10 +32,10 @@ def clock() -> SteppedClock:
     return SteppedClock()
 
 
-@pytest.fixture(params=[False, True], ids=["fences", "delayed"])
+@pytest.fixture(params=RULES)
 def joint(clock: SteppedClock, request: pytest.FixtureRequest) -> Iterator[Joint]:
     """Give a PLC whose bridge takes the time from the system."""
-    with made_joint(CONFIG, "ROS_Read", DOMAIN, clock=clock, delayed=request.param) as made:
+    with made_joint(CONFIG, "ROS_Read", DOMAIN, clock=clock, rule=request.param) as made:
         yield made
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from rosplc.config.transforms import TF_MESSAGE, TransformError
 from rosplc.ros import Qos
-from tests.verification.joint import Joint, encode, made_joint
+from tests.verification.joint import RULES, Joint, encode, made_joint
 
 pytestmark = [pytest.mark.timeout(200), pytest.mark.verifies("ros-blocks", own="translated Structured Text")]
 
@@ -23,9 +23,11 @@ transforms: {tool: {target: base, source: tool, rate: 100Hz, max_age: 1min}}
 TOOL = "transforms_tool"
 
 
-@pytest.fixture(params=["memory", "dds"])
+@pytest.fixture(params=["dds", *RULES])
 def joint(request: pytest.FixtureRequest) -> Iterator[Joint]:
-    with made_joint(CONFIG.replace("BACKEND", request.param), "ROS_Read", 47, request.param) as made:
+    """Give a PLC with a bridge over ``dds``, or made by each rule."""
+    backend, rule = ("dds", "64-bit") if request.param == "dds" else ("memory", request.param)
+    with made_joint(CONFIG.replace("BACKEND", backend), "ROS_Read", 47, backend, rule=rule) as made:
         yield made
 
 
