@@ -12,7 +12,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Literal, NoReturn
+from typing import Any, ClassVar, Literal, NoReturn
 
 from rosplc import shm
 from rosplc.described import described_layout, layout_of
@@ -95,20 +95,25 @@ class Block(_Instance):
         layout: The layout of ``msg``, or None before it is known.
     """
 
+    _direction: ClassVar[shm.Direction]
+    msg: Any = None
+    _record: bytearray
+
     def __init__(
         self,
         topic: str,
-        namespace: shm.Namespace,
-        direction: shm.Direction,
-        layout: Layout | None,
-        beat_ms: int,
+        *,
+        layout: Layout | None = None,
+        prefix: str = "rosplc",
+        directory: str = "/dev/shm",
+        beat_ms: int = 1000,
     ) -> None:
         super().__init__()
         self.topic = topic
         self.xAttached = self.xPeerAlive = False
         self.udiSequence = 0
         self.layout = self._compiled = layout
-        self._namespace, self._direction = namespace, direction
+        self._namespace = shm.Namespace(prefix, directory)
         self._part, self._client = shm.Part.TOPIC, ""
         self._attached: shm.Attached | None = None
         self._failure: tuple[int, str] = (ErrorNumber.NO_OBJECT.value, "")  # 0 while the object is open
@@ -118,12 +123,33 @@ class Block(_Instance):
         self._beat_ms = beat_ms
         self._opened = 0
         self._peer = shm.Peer()
+        if layout is not None:
+            self._use_layout(layout)
 
     def _report_silence(self) -> None:
         if self.udiError == 0 and self._peer.silent:
             self.udiError, self.reason = ErrorNumber.PEER_SILENT.value, "the bridge does not beat"
 
+    @abstractmethod
+    def _use_layout(self, layout: Layout) -> None:
+        """Make ``msg`` and the record."""
+
+    @abstractmethod
+    def _adopt(self, attached: shm.Attached, scan: Scan) -> None:
+        """Begin to use another object."""
+
     # -- the way to the object
+
+    def _object_of(self, scan: Scan) -> shm.Attached | None:
+        """Return the object if it is open and valid, taken into use if it is another one."""
+        attached, layout = self._follow(scan), self.layout
+        if attached is not None and layout is not None and self._opened_times != self._opened:
+            if self.msg is None or len(self._record) != layout.size:
+                self._use_layout(layout)
+            self._peer = shm.Peer()
+            self._adopt(attached, scan)
+            self._opened = self._opened_times
+        return attached
 
     def _follow(self, scan: Scan) -> shm.Attached | None:
         """Return the object if it is open and still valid; else try once to open it. Nothing is raised."""
@@ -257,6 +283,9 @@ class ReadBlock(Block):
             after three of them.
     """
 
+    _direction = shm.Direction.TO_PLC
+    msg: RecordView | None = None
+
     def __init__(
         self,
         topic: str,
@@ -278,7 +307,8 @@ class ReadBlock(Block):
             raise ValueError(f"{topic}: max_per_cycle must be at least 1")
         if (on_stale == "value") != (stale_value is not None):
             raise ValueError(f'{topic}: on_stale="value" and stale_value go together')
-        super().__init__(topic, shm.Namespace(prefix, directory), shm.Direction.TO_PLC, layout, beat_ms)
+        self._stale_value = stale_value
+        super().__init__(topic, layout=layout, prefix=prefix, directory=directory, beat_ms=beat_ms)
         self.xValid = self.xNew = False
         self.xFirst = self.xTruncated = self.xSubstituted = self.xRecovered = False
         self.xSourcePresent = False
@@ -286,24 +316,17 @@ class ReadBlock(Block):
         self.udiLost = self.uiTaken = 0
         self.udiSources: int | None = None
         self.age = 0.0
-        self.msg: RecordView | None = None
         self.info: shm.SlotInfo | None = None
         self._stale_after_ns = None if stale_after is None else round(stale_after * 1e9)
         self._on_stale = on_stale
-        self._stale_value = stale_value
-        self._stale_record = b""
         self._every = mode == "every"
         self._max_per_cycle = max_per_cycle
         self._latched = latched
         self._claim: shm.ReaderClaim | None = None
         self._reader: shm.Reader | None = None
-        self._shadow = bytearray()
-        self._record = bytearray()
         self._ever_new = False
         self._writer = 0  # claim of the writer whose message was taken last
         self._since_ns: int | None = None
-        if layout is not None:
-            self._use_layout(layout)
 
     def next(self) -> bool:
         """With ``mode="every"``: take one more message in this scan and return whether there was one.
@@ -346,9 +369,7 @@ class ReadBlock(Block):
         if self._since_ns is None:
             self._since_ns = scan.now_ns
         try:
-            attached = self._follow(scan)
-            if attached is not None and self._opened_times != self._opened:
-                self._adopt(attached, scan)
+            attached = self._object_of(scan)
             if attached is not None and self._reader is not None:
                 if self._claim is not None and self._claim.attempt(scan.now_ns):
                     self._claim = None
@@ -367,18 +388,12 @@ class ReadBlock(Block):
         return self.xNew
 
     def _adopt(self, attached: shm.Attached, scan: Scan) -> None:
-        layout = self.layout
-        assert layout is not None  # an open link has one
         latched = self._latched and self._opened == 0
         self._reader = attached.reader(latched=latched)
         # The line is for people who ask who reads; reading itself does not depend on it.
         self._claim = None
         if attached.region.writable:
             self._claim = shm.ReaderClaim(attached.region, self._reader, self._beat_ms, scan.task, range(4))
-        self._opened = self._opened_times
-        self._peer = shm.Peer()
-        if self.msg is None or len(self._record) != layout.size:
-            self._use_layout(layout)
         if not latched:
             # Rule M14: what was published before is in msg, valid but never new.
             info = self._reader.peek(self._shadow)
@@ -542,25 +557,13 @@ class WriteBlock(Block):
     ``reason``, are as :class:`ReadBlock`'s; ``layout``, ``prefix``, ``directory`` and ``beat_ms`` too.
     """
 
-    def __init__(
-        self,
-        topic: str,
-        *,
-        layout: Layout | None = None,
-        prefix: str = "rosplc",
-        directory: str = "/dev/shm",
-        beat_ms: int = 1000,
-    ) -> None:
-        super().__init__(topic, shm.Namespace(prefix, directory), shm.Direction.TO_ROS, layout, beat_ms)
-        self.msg: Any = None if layout is None else Message.initial(layout)
-        self.xEnable = False
-        self.xReady = self.xPublished = False
-        self.udiPublished = self.udiTaken = 0
-        self.udiSinks: int | None = None
-        self._claim: shm.WriterClaim | None = None
-        self._writer: shm.Writer | None = None
-        self._record = bytearray(0 if layout is None else layout.size)
-        self._unfilled = False  # msg was made in this call: what the program filled was another
+    _direction = shm.Direction.TO_ROS
+    xEnable = xReady = xPublished = False
+    udiPublished = udiTaken = 0
+    udiSinks: int | None = None
+    _claim: shm.WriterClaim | None = None
+    _writer: shm.Writer | None = None
+    _unfilled = False  # msg was made in this call: what the program filled was another
 
     def close(self) -> None:
         """Release the claim and let go of the object; the next call opens it again."""
@@ -573,9 +576,7 @@ class WriteBlock(Block):
 
     def _run(self, scan: Scan) -> bool:
         self.xPublished = self._unfilled = False
-        attached = self._follow(scan)
-        if attached is not None and self._opened_times != self._opened:
-            self._adopt(attached)
+        attached = self._object_of(scan)
         if attached is not None:
             if self._writer is None:
                 self._claim_line(attached, scan)
@@ -591,17 +592,14 @@ class WriteBlock(Block):
         self.xAttached = self._attached is not None
         return self.xPublished
 
-    def _adopt(self, attached: shm.Attached) -> None:
-        layout = self.layout
-        assert layout is not None  # an open link has one
-        self._opened = self._opened_times
+    def _adopt(self, attached: shm.Attached, scan: Scan) -> None:
         self._writer = self._claim = None
-        self._peer = shm.Peer()
         self.xReady = False
-        if self.msg is None or len(self._record) != layout.size:
-            self._record = bytearray(layout.size)
-            self.msg = Message.initial(layout)
-            self._unfilled = True
+
+    def _use_layout(self, layout: Layout) -> None:
+        self._record = bytearray(layout.size)
+        self.msg = Message.initial(layout)
+        self._unfilled = True
 
     def _claim_line(self, attached: shm.Attached, scan: Scan) -> None:
         self.xReady = False

@@ -17,7 +17,7 @@ from rosplc.errors import ChannelError
 from rosplc.layout import Layout
 from rosplc.reasons import Reason
 from rosplc.ros.actions import GoalStatus
-from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Peer, Reader, ReaderClaim, SlotInfo, Writer
+from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Reader, ReaderClaim, SlotInfo, Writer
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
 from rosplc.virtual_plc.block import Block, ReadBlock, WriteBlock, _Instance
@@ -52,7 +52,7 @@ class _In(ReadBlock):
             self.udiError, self.reason = ErrorNumber.CLAIMED.value, "another program holds the object"
 
     def _adopt(self, attached: Attached, scan: Scan) -> None:
-        self._opened, self._peer, self.fresh = self._opened_times, Peer(), True
+        self.fresh = True
         reader = self._reader = attached.reader()
         claim = attached.region, reader, self._beat_ms, scan.task, range(1)
         self._claim = ReaderClaim(*claim, answer=self._part.asks)
