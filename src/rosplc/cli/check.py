@@ -16,18 +16,31 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rosplc.cli.options import ConfigFile, config_file
 from rosplc.cli.text import columns, print_json, say, terminal_width, warn, wrap
 from rosplc.cli.verb import verb
+from rosplc.config.file import json_schema, rename_keys
+from rosplc.config.plans import ActionPlan, CallPlan, ClassicPlan, ServicePlan
+from rosplc.config.quantities import format_duration
+from rosplc.config.resolve import Project, TopicPlan, load_project
+from rosplc.config.settings import TopicSettings
+from rosplc.config.yaml_source import read_text
 from rosplc.errors import RosplcError
 from rosplc.harmless import plural
-
-if TYPE_CHECKING:
-    from rosplc.config.plans import ActionPlan, CallPlan, ClassicPlan, ServicePlan
-    from rosplc.config.resolve import Project, TopicPlan
-    from rosplc.layout import Layout
+from rosplc.layout import Layout
+from rosplc.project import (
+    access,
+    capacities,
+    check,
+    chosen_backend,
+    memory,
+    plc_names,
+    total_memory,
+    warnings,
+    when_silent,
+)
 
 _SCREEN = 24  # lines that are printed without --verbose
 _WARNINGS = 6
@@ -51,13 +64,8 @@ def command(
         fix: Rewrite keys that have new names; comments and layout stay.
     """
     if schema:
-        from rosplc.config.file import json_schema
-
         print_json(json_schema())
         return
-    from rosplc.config.resolve import load_project
-    from rosplc.project import check
-
     path = config_file(config)
     if fix:
         _fix(path)
@@ -69,9 +77,6 @@ def command(
 
 
 def _fix(path: Path) -> None:
-    from rosplc.config.file import rename_keys
-    from rosplc.config.yaml_source import read_text
-
     before = read_text(path)
     after, changes = rename_keys(before, name=str(path))
     if changes:
@@ -86,8 +91,6 @@ def _fix(path: Path) -> None:
 
 
 def _explain(project: Project, *, verbose: bool) -> None:
-    from rosplc.project import warnings
-
     head = [f"{project.config.path or 'The configuration'} is valid.", *_head(project)]
     total = list(_total(project))
     found = [f"Warning: {text}" for text in warnings(project)]
@@ -114,15 +117,7 @@ def _explain(project: Project, *, verbose: bool) -> None:
         say(line)
 
 
-def _time(ns: int) -> str:
-    from rosplc.config.quantities import format_duration
-
-    return format_duration(ns)
-
-
 def _names(project: Project) -> dict[str, tuple[str, str]]:
-    from rosplc.project import plc_names
-
     found = plc_names(project)
     return {} if isinstance(found, RosplcError) else found
 
@@ -130,7 +125,7 @@ def _names(project: Project) -> dict[str, tuple[str, str]]:
 def _table(project: Project) -> Iterator[str]:
     names, rows = _names(project), []
     for plan in project.topics:
-        stale = _time(plan.stale_after_ns) if plan.stale_after_ns else "never"
+        stale = format_duration(plan.stale_after_ns) if plan.stale_after_ns else "never"
         instance = names[plan.topic][0] if plan.topic in names else "-"
         rows.append((plan.topic, _WAYS[plan.direction], plan.type_name, plan.layout.size, stale, instance))
     if rows:
@@ -163,12 +158,10 @@ def _calls(project: Project) -> Iterator[str]:
 
 
 def _queue(plan: ServicePlan | ActionPlan) -> str:
-    from rosplc.config.plans import ServicePlan
-
     if plan.server == "ros":
         return "-"
     if isinstance(plan, ServicePlan):
-        return f"{plan.depth} calls, {_time(plan.expire_after_ns)}"
+        return f"{plan.depth} calls, {format_duration(plan.expire_after_ns)}"
     return f"{plan.queue} goals" if plan.queue else "1 goal" if plan.on_new_goal == "abort" else "none"
 
 
@@ -187,8 +180,6 @@ def _limits(project: Project) -> Iterator[str]:
 
 
 def _capacities(layout: Layout) -> str:
-    from rosplc.project import capacities
-
     return ", ".join(f"{path} {capacity}" for path, capacity in capacities(layout).items())
 
 
@@ -205,8 +196,6 @@ def _details(project: Project) -> Iterator[str]:
 
 
 def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
-    from rosplc.config.plans import ActionPlan, ServicePlan
-
     for part, layout in zip(plan.parts, plan.layouts, strict=True):
         yield part.word, f"{plural(layout.size, 'byte')}, layout id {layout.layout_id}"
         if limits := _capacities(layout):
@@ -215,7 +204,7 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
     yield "too large", "cut" if plan.truncate else "refused and counted"
     if isinstance(plan, ServicePlan) and plan.server == "plc":
         yield "waiting", f"{plan.depth} calls at most, {plan.per_client} of one caller"
-        yield "expires", f"a call that has waited for {_time(plan.expire_after_ns)}"
+        yield "expires", f"a call that has waited for {format_duration(plan.expire_after_ns)}"
         if plan.min_interval_ns:
             yield "passes on", f"one call per {plan.min_interval_ns / 1e6:g} ms at most"
         fallback = "nothing" if plan.fallback is None else str(plan.response.to_dict(plan.fallback))
@@ -223,16 +212,14 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
     elif isinstance(plan, ActionPlan) and plan.server == "plc":
         also = {"reject": "is rejected", "abort": "takes its place", "buffer": f"waits, {plan.queue} at most"}
         yield "another goal", also[plan.on_new_goal]
-        yield "undecided", f"rejected after {_time(plan.accept_within_ns)}"
-        yield "result", f"kept for {_time(plan.keep_result_ns)}"
+        yield "undecided", f"rejected after {format_duration(plan.accept_within_ns)}"
+        yield "result", f"kept for {format_duration(plan.keep_result_ns)}"
     elif isinstance(plan, ActionPlan):
         down = {"cancel": "the goal is canceled", "keep": "the goal goes on"}
         yield "without a PLC", down[plan.when_plc_down]
 
 
 def _head(project: Project) -> Iterator[str]:
-    from rosplc.project import access, chosen_backend
-
     settings = project.config.settings
     ros = settings.ros
     yield (
@@ -268,9 +255,6 @@ def _access_words(given: dict[str, Any]) -> str:
 
 
 def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> Iterator[tuple[str, str]]:
-    from rosplc.config.settings import TopicSettings
-    from rosplc.project import memory, when_silent
-
     def chosen(configured: bool) -> str:
         return "as configured" if configured else "default"
 
@@ -290,12 +274,12 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
     if limits := _capacities(plan.layout):
         yield "limits", limits
     how, task = "every message, in order" if plan.every else "the newest message", project.tasks[plan.task]
-    cycle = f"every {_time(task.interval_ns)}" if task.kind == "cyclic" else "freewheeling"
+    cycle = f"every {format_duration(task.interval_ns)}" if task.kind == "cyclic" else "freewheeling"
     yield "takes", f"{how}; PLC task {plan.task}, {cycle}"
     if names is not None:
         yield "in the PLC", f"{'read' if to_plc else 'written'} with {names[0]} (block {names[1]})"
     if (wanted := plan.transform) is not None:
-        yield "transform", f"{wanted.source} in {wanted.target}, every {_time(wanted.rate_ns)}"
+        yield "transform", f"{wanted.source} in {wanted.target}, every {format_duration(wanted.rate_ns)}"
     else:
         yield from _qos_rows(plan, chosen(bool(entry.qos.model_fields_set) or entry.latched is not None))
     yield "stale after", f"{plan.stale_after_ns / 1e6:g} ms" if plan.stale_after_ns else "never"
@@ -314,7 +298,7 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
 def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
     qos = plan.qos
     times = (("deadline", qos.deadline_ns), ("lease", qos.lease_ns))
-    words = [f"{word} {_time(ns)}" for word, ns in times if ns]
+    words = [f"{word} {format_duration(ns)}" for word, ns in times if ns]
     yield "QoS", f"{', '.join([qos.reliability, qos.durability, f'depth {qos.depth}', *words])} ({chosen})"
     lost = "is sent again" if qos.reliability == "reliable" else "stays lost"
     way = f"what is lost on the way {lost}"
@@ -335,8 +319,6 @@ def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
 
 
 def _total(project: Project) -> Iterator[str]:
-    from rosplc.project import memory, total_memory
-
     sizes = {1: 0, 2: 0}
     for plan in project.topics:
         sizes[plan.direction] += memory(project, plan)["memory_bytes"]
@@ -352,10 +334,10 @@ def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> Iterator[tuple[str, 
     yield "classic", f"memory {classic.name} with the bare record"
     lock = "none: a record may be read while it is written"
     if classic.semaphore:
-        tried, held = _time(classic.wait_ns), _time(classic.recover_after_ns)
+        tried, held = format_duration(classic.wait_ns), format_duration(classic.recover_after_ns)
         freed = f"freed when it is held for {held} without a sign of life"
         lock = f"semaphore {classic.semaphore}, tried for {tried}, {freed}"
     yield "lock", lock
     if plan.direction != 1:
         what = "a changed record is a message" if plan.on_change else "every look is a message"
-        yield "looks", f"every {_time(classic.poll_ns)}; {what}"
+        yield "looks", f"every {format_duration(classic.poll_ns)}; {what}"

@@ -15,7 +15,6 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
@@ -24,9 +23,10 @@ from rosplc.cli.text import print_json, say
 from rosplc.cli.verb import EXIT_FAILURE, verb
 from rosplc.errors import ChannelError
 from rosplc.harmless import plural
-
-if TYPE_CHECKING:
-    from rosplc.shm import Namespace
+from rosplc.shm import Namespace, Part, open_object
+from rosplc.shm.files import NameLock, Rights, open_plain_file
+from rosplc.shm.names import file_name
+from rosplc.shm.owned import retire_file
 
 
 @verb
@@ -62,9 +62,6 @@ def command(
 
 def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[list[str], dict[str, str]]:
     """Remove the files of names that no bridge holds; return these, and name → why it is kept."""
-    from rosplc.shm import Part
-    from rosplc.shm.names import file_name
-
     folder = Path(namespace.directory)
     wanted = {namespace.object_name(topic, part) for topic in topics for part in Part}
     files: dict[tuple[str, str], list[Path]] = {}
@@ -93,9 +90,6 @@ def _remove(item: Path, lock_file: Path, paths: list[Path], *, dry_run: bool) ->
 
     Raises ChannelError SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
     """
-    from rosplc.shm import open_object
-    from rosplc.shm.files import NameLock, Rights
-
     existed = lock_file.exists()
     lock = NameLock(lock_file, Rights(lock_file.stat().st_mode if existed else 0o600))
     try:
@@ -119,9 +113,6 @@ def _remove(item: Path, lock_file: Path, paths: list[Path], *, dry_run: bool) ->
 
 def _retire(path: Path) -> None:
     """Tell every process that has the object mapped to leave it."""
-    from rosplc.shm.files import open_plain_file
-    from rosplc.shm.owned import retire_file
-
     with suppress(ChannelError):
         fd = open_plain_file(path, os.O_RDWR)
         try:

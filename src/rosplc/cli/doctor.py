@@ -19,19 +19,17 @@ import os
 import sys
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.text import Text
 
 from rosplc.cli.options import ConfigFile, default_config
 from rosplc.cli.text import print_json
 from rosplc.cli.verb import EXIT_CONFIG, EXIT_FAILURE, Between, verb
+from rosplc.doctor import KINDS, Question, Report, examine
 from rosplc.harmless import harmless, plural
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from rosplc.doctor import Report
 
 _STYLES = {"error": "bold red", "warning": "bold yellow", "note": "cyan", "ok": "green"}
 _WIDTH = 80
@@ -58,10 +56,6 @@ def command(
         seconds SECONDS: How long to look at the ROS graph.
         everything: Show what is fine, line by line.
     """
-    from rich.console import Console
-
-    from rosplc.doctor import Question, examine
-
     config = config or default_config()
     question = Question(config, plc, plc_user or "", ros, seconds, variables=dict(os.environ))
     status = Console(stderr=True).status("looking") if sys.stderr.isatty() and not as_json else None
@@ -84,10 +78,6 @@ def command(
 
 
 def _show(report: Report, console: Console, *, everything: bool) -> None:
-    from rich.text import Text
-
-    from rosplc.doctor import KINDS
-
     for area, findings in report.areas():
         console.print(Text(area.value, style="bold"))
         for finding in findings:
@@ -110,8 +100,6 @@ def _show(report: Report, console: Console, *, everything: bool) -> None:
 
 
 def _line(console: Console, word: str, text: str) -> None:
-    from rich.text import Text
-
     for line in textwrap.wrap(harmless(text), console.width - _INDENT, break_on_hyphens=False) or [""]:
         head = Text(f"  {word:<{_INDENT - 2}}", style=_STYLES.get(word, ""))
         console.print(head.append(line, style="none"), soft_wrap=True)

@@ -17,6 +17,7 @@ import typer
 
 from rosplc.cli.text import print_json, say, table
 from rosplc.cli.verb import verb
+from rosplc.doctor import KINDS
 from rosplc.errors import CODES
 from rosplc.harmless import nearest
 
@@ -52,8 +53,6 @@ def command(code: str | None = None, /, *, as_json: bool = False) -> None:
 
 def _known() -> dict[str, dict[str, str]]:
     """Return code → what is known of it, of errors and findings."""
-    from rosplc.doctor import KINDS
-
     keys = ("title", "meaning", "remedy")
     return {
         code: {"code": code, **{key: getattr(entry, key, "") for key in keys}}

@@ -19,6 +19,7 @@ from rosplc.cli.options import ConfigFile, config_file
 from rosplc.cli.text import print_json, say
 from rosplc.cli.verb import verb
 from rosplc.harmless import plural
+from rosplc.project import generate, generate_types
 
 
 @verb
@@ -51,8 +52,6 @@ def command(
         pins: Give blocks a pin per top-level field, for Ladder and Function Blocks.
         force: Overwrite files that somebody edited.
     """
-    from rosplc.project import generate, generate_types
-
     if config is not None and all_types is not None:
         raise typer.BadParameter("name a configuration file or --all-types, not both", param_hint="CONFIG")
     options: dict[str, Any] = {"plc": plc, "target": target, "fences": fences, "pins": pins, "force": force}

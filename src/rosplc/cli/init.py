@@ -26,19 +26,20 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import typer
 
 from rosplc.cli.options import duration, parsed
 from rosplc.cli.text import print_json, say, table, warn
 from rosplc.cli.verb import verb
+from rosplc.config import Config
 from rosplc.harmless import plural
-
-if TYPE_CHECKING:
-    from rosplc.init.found import Topic
-    from rosplc.init.propose import Wish
-    from rosplc.init.write import Draft, Source
+from rosplc.init.found import Topic
+from rosplc.init.live import LiveRobot
+from rosplc.init.propose import Wish, direction, is_of_ros_itself, parse_wish, select, type_called
+from rosplc.init.recorded import RecordedRobot
+from rosplc.init.write import Draft, Source, draft, refuse_to_overwrite, save
 
 _LONGEST = 40
 
@@ -90,12 +91,6 @@ def command(
         types FOLDER: A folder with custom .msg files; may be repeated.
         as_json: Print JSON; nothing is asked.
     """
-    from rosplc.config import Config
-    from rosplc.init.live import LiveRobot
-    from rosplc.init.propose import select
-    from rosplc.init.recorded import RecordedRobot
-    from rosplc.init.write import draft, refuse_to_overwrite, save
-
     # What the backends warn of is part of the outcome, or of the error that ends this.
     logging.getLogger("rosplc").addHandler(logging.NullHandler())
     folders, wishes = types or [], _wishes(topics, to_plc, to_ros)
@@ -147,8 +142,6 @@ def command(
 
 
 def _wishes(*given: list[str] | None) -> list[Wish]:
-    from rosplc.init.propose import parse_wish
-
     options: tuple[tuple[str, Literal["plc", "ros"] | None], ...]
     options = (("--topics", None), ("--to-plc", "plc"), ("--to-ros", "ros"))
     return [
@@ -183,8 +176,6 @@ def _progress(*, quiet: bool) -> Callable[[str], None]:
 
 
 def _list(source: Source) -> None:
-    from rosplc.init.propose import direction, is_of_ros_itself
-
     def short(names: tuple[str, ...]) -> str:
         text = ", ".join(names) or "-"
         return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
@@ -271,7 +262,6 @@ def _facts(
 
 def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
     """Ask what to carry, and which way; the answers are wishes as from the command line."""
-    from rosplc.init.propose import Wish, direction, is_of_ros_itself, type_called
 
     def names(answer: str) -> list[str]:
         if answer.strip() == "all":

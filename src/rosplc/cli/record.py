@@ -25,18 +25,23 @@ import sys
 import termios
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from rosplc.bridge.run import pause, stop_on_signals
 from rosplc.cli.options import Directory, observed_config, size
 from rosplc.cli.options import duration as duration_ns
 from rosplc.cli.text import ProgressLine, print_json, say, table, warn
 from rosplc.cli.verb import Between, verb
+from rosplc.config.resolve import load_project
+from rosplc.errors import RecordingError
 from rosplc.harmless import in_bytes, plural
-
-if TYPE_CHECKING:
-    from rosplc.recorder import Recorder, RecordingOptions, Result
+from rosplc.monitor import find_objects
+from rosplc.monitor.classic import expected_of
+from rosplc.recorder import COMPRESSIONS, Recorder, RecordingOptions, Result, Selection, Split, quick_process
+from rosplc.recorder.store import base_of, dated, file_name, free_name, repair
+from rosplc.shm import Namespace
 
 _TURN_S = 0.1
 
@@ -89,12 +94,6 @@ def command(
         quiet: Print no progress.
         as_json: Print the result as JSON.
     """
-    from rosplc.config.resolve import load_project
-    from rosplc.monitor.classic import expected_of
-    from rosplc.recorder import COMPRESSIONS, RecordingOptions, Selection, Split
-    from rosplc.recorder.store import base_of, dated, free_name
-    from rosplc.shm import Namespace
-
     if repair is not None:
         _repair(repair, output, as_json=as_json, quiet=quiet)
         return
@@ -139,10 +138,6 @@ def command(
 
 
 def _record(options: RecordingOptions, seconds: float, *, quiet: bool, as_json: bool) -> None:
-    from rosplc.bridge.run import pause, stop_on_signals
-    from rosplc.errors import RecordingError
-    from rosplc.recorder import Recorder, quick_process
-
     recorder = Recorder(options)
 
     def tell(number: int) -> None:
@@ -183,8 +178,6 @@ def _leave_closed_terminal() -> None:
 
 
 def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> None:
-    from rosplc.recorder.store import base_of, file_name, repair
-
     base = base_of(output or file.with_name(f"{base_of(file).name}_repaired"))
     line = ProgressLine(quiet=quiet)
     done = repair(file, file_name(base), lambda messages: line.show(lambda: f"{messages} messages saved"))
@@ -200,8 +193,6 @@ def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> N
 
 
 def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> None:
-    from rosplc.monitor import find_objects
-
     for name, error in recorder.inlet.failures.items():
         warn(f"{name} is not recorded: {error.what} [{error.code}]")
     topics = list(recorder.inlet.counts)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
 
 import typer
 
@@ -21,9 +20,8 @@ from rosplc.cli.options import Directory, bridge_namespace
 from rosplc.cli.text import say
 from rosplc.cli.verb import verb
 from rosplc.errors import ChannelError
-
-if TYPE_CHECKING:
-    from rosplc.shm import Attached, Namespace
+from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Writer, attach
+from rosplc.shm.attach import silence_ns
 
 _LOOK_S = 0.02
 
@@ -39,8 +37,6 @@ def command(
         prefix NAME: The bridge's `prefix:`; by default that of rosplc.yaml in this folder, else rosplc.
         yes: Ask nothing.
     """
-    from rosplc.shm import Direction, attach
-
     namespace = bridge_namespace(prefix, directory)
     with attach(namespace, topic, write=True) as attached:
         if not attached.snapshot().writer.epoch:
@@ -57,8 +53,6 @@ def command(
 
 def _wait_for_silence(attached: Attached, topic: str) -> None:
     """Watch the writer for as long as the format gives it; SHM114 if it lives."""
-    from rosplc.shm.attach import silence_ns
-
     first = attached.snapshot().writer
     end = time.monotonic_ns() + silence_ns(first.beat_ms)
     while time.monotonic_ns() < end:
@@ -72,8 +66,6 @@ def _wait_for_silence(attached: Attached, topic: str) -> None:
 
 
 def _release(namespace: Namespace, attached: Attached, *, towards_plc: bool) -> None:
-    from rosplc.shm import OwnedChannel, Writer
-
     with ExitStack() as stack:
         if towards_plc:
             # Only a bridge writes there: its lock shows whether one is running.

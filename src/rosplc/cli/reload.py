@@ -18,6 +18,9 @@ from pathlib import Path
 from rosplc.cli.options import ConfigFile, Directory, config_file, default_config
 from rosplc.cli.text import say
 from rosplc.cli.verb import verb
+from rosplc.config.resolve import load_project
+from rosplc.doctor.machine import status_mask
+from rosplc.doctor.objects import held_files, lock_holders
 from rosplc.errors import ChannelError, SetupError
 
 
@@ -30,11 +33,7 @@ def command(
     Options:
         prefix NAME: The bridge's `prefix:`, in place of a configuration.
     """
-    from rosplc.doctor.objects import held_files, lock_holders
-
     if prefix is None:
-        from rosplc.config.resolve import load_project
-
         settings = load_project(config_file(config or default_config())).config.settings
         prefix, directory = settings.prefix, settings.shm.directory
     held = held_files(Path("/proc")) or {}
@@ -61,8 +60,6 @@ def command(
 
 def _handles_reload(pid: int) -> bool:
     """Return whether a process handles SIGUSR1; it would end any other, as one with ``rosplc.bind``."""
-    from rosplc.doctor.machine import status_mask
-
     try:
         caught = status_mask(Path(f"/proc/{pid}/status"), "SigCgt")
     except OSError:

@@ -18,21 +18,35 @@ time at which they are sent; `--stamps original` keeps the recorded stamps.
 
 from __future__ import annotations
 
+import os
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import typer
 
+from rosplc.bridge.run import pause, stop_on_signals
 from rosplc.cli.options import Directory, duration, observed_config
 from rosplc.cli.text import ProgressLine, print_json, say, table, warn
 from rosplc.cli.verb import EXIT_FAILURE, verb
+from rosplc.config.resolve import load_project
 from rosplc.harmless import plural
-
-if TYPE_CHECKING:
-    from rosplc.recorder.replay import Player, ReplayOptions, Target
-    from rosplc.recorder.source import Source, SourceTopic
+from rosplc.model import DISTROS
+from rosplc.recorder.inlet import Selection
+from rosplc.recorder.replay import (
+    Player,
+    PlcTarget,
+    ReplayOptions,
+    RosTarget,
+    Target,
+    chosen_topics,
+    wait_for_answers,
+    wait_for_readers,
+)
+from rosplc.recorder.source import Source, SourceTopic, open_source
+from rosplc.ros import BACKENDS
+from rosplc.shm import Namespace
 
 _WAYS = {"to_plc": "→ PLC", "to_ros": "→ ROS", "": ""}
 
@@ -88,10 +102,6 @@ def command(
         quiet: Print no progress.
         as_json: Print the result as JSON.
     """
-    from rosplc.recorder.inlet import Selection
-    from rosplc.recorder.replay import chosen_topics
-    from rosplc.recorder.source import open_source
-
     if not listing and to is None:
         raise typer.BadParameter("say where to: plc or ros", param_hint="--to")
     options = _options(speed, loop, start, end, stamps)
@@ -122,8 +132,6 @@ def command(
 def _options(
     speed: str, loop: bool, start: str | None, end: str | None, stamps: Literal["now", "original"]
 ) -> ReplayOptions:
-    from rosplc.recorder.replay import ReplayOptions
-
     try:
         factor = 0.0 if speed == "max" else float(speed)
     except ValueError:
@@ -148,10 +156,6 @@ def _renames(texts: list[str]) -> dict[str, str]:
 
 def _distro(given: str | None, topics: dict[str, SourceTopic] | None) -> str:
     """Return the distribution: the one asked for, the recording's if it is one, the environment's, jazzy."""
-    import os
-
-    from rosplc.model import DISTROS
-
     if given is not None:
         if given not in DISTROS:
             raise typer.BadParameter(f"{given!r} is none of {', '.join(DISTROS)}", param_hint="--distro")
@@ -173,11 +177,6 @@ def _target(
     distro: str,
     directory: str,
 ) -> Target:
-    from rosplc.config.resolve import load_project
-    from rosplc.recorder.replay import PlcTarget, RosTarget
-    from rosplc.ros import BACKENDS
-    from rosplc.shm import Namespace
-
     if to == "ros":
         known = ("auto", *(name for name in BACKENDS if name != "memory"))
         if backend not in known:
@@ -202,9 +201,6 @@ def _play(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    from rosplc.bridge.run import pause, stop_on_signals
-    from rosplc.recorder.replay import Player, wait_for_answers, wait_for_readers
-
     player = Player(source, target, topics, options)
     line = ProgressLine(quiet=quiet)
     length = (source.end_ns - source.start_ns) / 1e9

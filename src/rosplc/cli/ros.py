@@ -13,16 +13,23 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+import yaml
 
+from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.cli.options import default_config
+from rosplc.cli.ros_text import Writer, as_python, as_yaml
 from rosplc.cli.text import print_json, say, warn
 from rosplc.cli.verb import Between, verb
-
-if TYPE_CHECKING:
-    from rosplc.ros import EndpointInfo
+from rosplc.config import Config, read_config
+from rosplc.errors import RosplcError
+from rosplc.init.found import Reader
+from rosplc.init.learn import Definitions, learn
+from rosplc.init.live import distro_here, matching
+from rosplc.model.parse import full_name
+from rosplc.ros import EndpointInfo, Qos, settled_graph
 
 _LOOK_S = 5.0  # how long to look for a topic at most; the graph is complete earlier where it is small
 _WINDOW = 10_000
@@ -46,11 +53,6 @@ class _Node:
     def __init__(
         self, backend: str | None, distro: str | None, domain: int | None, types: list[Path] | None
     ) -> None:
-        from rosplc.bridge.ros_side import LiveTypes, RosSide
-        from rosplc.config import Config, read_config
-        from rosplc.init.learn import Definitions
-        from rosplc.init.live import distro_here
-
         logging.getLogger("rosplc").addHandler(logging.NullHandler())
         keys: dict[str, Any] = {}
         folders = list(types or ())
@@ -76,9 +78,6 @@ class _Node:
 
     def type_of(self, topic: str, named: str | None) -> str:
         """Return the full name of a topic's type, asked for or seen in the graph; it is known then."""
-        from rosplc.init.learn import learn
-        from rosplc.model.parse import full_name
-
         if named is None:
             types = self.graph(topic).topics.get(topic, ())
             if len(types) != 1:
@@ -91,15 +90,11 @@ class _Node:
         return name
 
     def graph(self, *topics: str) -> Any:
-        from rosplc.ros import settled_graph
-
         return settled_graph(self.backend.graph, _LOOK_S, topics)
 
     @contextlib.contextmanager
     def messages(self, topic: str, type_name: str) -> Iterator[queue.SimpleQueue[tuple[float, bytes]]]:
         """Receive a topic into a queue of (arrival in s, bytes), with a QoS that its publishers meet."""
-        from rosplc.init.live import matching
-
         arrived: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
         offered = [
             end.qos for end in self.backend.graph().endpoints if (end.topic, end.direction) == (topic, "out")
@@ -185,10 +180,6 @@ def _echo(
         full_length: Print long arrays and strings whole.
         as_json: Print one JSON document per line.
     """
-    from rosplc.cli.ros_text import as_yaml
-    from rosplc.errors import RosplcError
-    from rosplc.init.found import Reader
-
     with _Node(backend, distro, domain, types) as node:
         type_name = node.type_of(topic, message_type)
         read = Reader(node.definitions.store, type_name)
@@ -285,12 +276,6 @@ def _pub(
         qos_durability: `volatile` or `transient_local`.
         qos_depth: Messages that wait at most.
     """
-    import yaml
-
-    from rosplc.cli.ros_text import Writer, as_python
-    from rosplc.init.found import Reader
-    from rosplc.ros import Qos
-
     try:
         given = yaml.safe_load(values) or {}
     except yaml.YAMLError as error:

@@ -22,8 +22,13 @@ from typing import Annotated
 import typer
 from typer.core import TyperCommand
 
+from rosplc.bridge.run import run_bridge
 from rosplc.cli.options import ConfigFile, config_file
 from rosplc.cli.verb import Between, verb
+from rosplc.init.learn import load
+from rosplc.ros import RosArguments
+from rosplc.ros.arguments import split_arguments
+from rosplc.service.supervisor import supervised
 
 _KEY = "rosplc.ros_arguments"
 
@@ -33,8 +38,6 @@ class RosCommand(TyperCommand):
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         """Parse what is left without ROS's arguments."""
-        from rosplc.ros.arguments import split_arguments
-
         ctx.meta[_KEY], own = split_arguments(args)
         return super().parse_args(ctx, own)
 
@@ -61,11 +64,6 @@ def command(
         verbose: Log more.
         quiet: Log warnings and errors only.
     """
-    from rosplc.bridge.run import run_bridge
-    from rosplc.init.learn import load
-    from rosplc.ros import RosArguments
-    from rosplc.service.supervisor import supervised
-
     arguments = RosArguments.parse(given_to(context))
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     if arguments.log_level is not None and not (verbose or quiet):

@@ -17,16 +17,25 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import typer
 
 from rosplc.cli.text import print_json, say, table, warn
 from rosplc.cli.verb import verb
 from rosplc.errors import SetupError
-
-if TYPE_CHECKING:
-    from rosplc.service.install import Step
+from rosplc.service.install import (
+    Run,
+    Step,
+    Write,
+    execute,
+    in_words,
+    install_steps,
+    plan_service,
+    require_systemd,
+    service_states,
+    uninstall_steps,
+)
 
 
 @verb
@@ -51,15 +60,6 @@ def command(
         root DIR: Work in this folder instead of /, for images of machines.
         dry_run: Show what would be done.
     """
-    from rosplc.service.install import (
-        execute,
-        install_steps,
-        plan_service,
-        require_systemd,
-        service_states,
-        uninstall_steps,
-    )
-
     root = root.absolute()
     if what == "status":
         _show(service_states(root, name), as_json=as_json)
@@ -95,8 +95,6 @@ def command(
 
 
 def _facts(step: Step) -> dict[str, object]:
-    from rosplc.service.install import Run, Write
-
     if isinstance(step, Run):
         return {"run": list(step.argv)}
     path = str(step.path)
@@ -104,8 +102,6 @@ def _facts(step: Step) -> dict[str, object]:
 
 
 def _explain(steps: list[Step]) -> None:
-    from rosplc.service.install import Write, in_words
-
     for step in steps:
         say(in_words(step))
         if isinstance(step, Write):

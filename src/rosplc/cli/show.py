@@ -22,22 +22,23 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from rosplc.api import Channel, attach
 from rosplc.cli.options import Directory, nothing_there, observed_config, settled
 from rosplc.cli.text import print_json, say, table, warn
 from rosplc.cli.verb import EXIT_FAILURE, Between, verb
+from rosplc.config.resolve import TopicPlan, load_project
 from rosplc.errors import ChannelError
 from rosplc.harmless import in_bytes
-
-if TYPE_CHECKING:
-    from rosplc.api import Channel
-    from rosplc.config.resolve import TopicPlan
-    from rosplc.layout import RecordView
-    from rosplc.monitor import ChannelView, Message, ObjectState, Picture
-    from rosplc.monitor.classic import ClassicState
+from rosplc.layout import RecordView
+from rosplc.layout.view import plain
+from rosplc.monitor import ChannelView, Message, ObjectState, Picture, Watch, find_objects
+from rosplc.monitor.classic import ClassicState, look_at
+from rosplc.monitor.message import marks_of
+from rosplc.monitor.picture import age_text, plc_text
 
 _LEAST_S, _MOST_S = 0.1, 1.2
 _WAYS = {"to_plc": "→ PLC", "to_ros": "→ ROS"}
@@ -71,13 +72,8 @@ def command(
             in this folder by default.
         as_json: Print JSON.
     """
-    from rosplc.api import attach
-    from rosplc.monitor import find_objects
-
     classic, own = [], prefix
     if (file := observed_config(config, prefix)) is not None:
-        from rosplc.config.resolve import load_project
-
         project = load_project(file)
         classic = [plan for plan in project.topics if plan.classic is not None]
         own = prefix or project.namespace.prefix
@@ -85,7 +81,7 @@ def command(
         states = find_objects(directory, prefix=prefix, calls=True)
         if as_json:
             print_json(
-                [state.to_dict() for state in states] + [_facts(plan, _look(plan)) for plan in classic]
+                [state.to_dict() for state in states] + [_facts(plan, look_at(plan)) for plan in classic]
             )
         else:
             if states or not classic:
@@ -115,12 +111,6 @@ def command(
             _print_message(channel, channel.current(), view, header=header, as_json=as_json)
 
 
-def _look(plan: TopicPlan) -> ClassicState:
-    from rosplc.monitor.classic import look_at
-
-    return look_at(plan)
-
-
 def _facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:
     return {
         "topic": plan.topic,
@@ -141,7 +131,7 @@ def _facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:
 def _list_classic(plans: list[TopicPlan]) -> None:
     rows, errors = [], []
     for plan in plans:
-        state = _look(plan)
+        state = look_at(plan)
         arrow = _WAYS["to_plc" if plan.direction == 1 else "to_ros"]
         sizes = f"{plan.layout.size} of {state.size}" if state.size else f"{plan.layout.size}"
         rows.append((plan.topic, arrow, plan.type_name, sizes, state.name, state.owner or "-", state.lock))
@@ -158,7 +148,7 @@ def _show_classic(
     plan: TopicPlan, *, follow: bool, count: int | None, timeout: float | None, as_json: bool
 ) -> None:
     """Print the message in a classic topic's memory; with ``follow`` or ``count`` each change seen."""
-    first = _look(plan)
+    first = look_at(plan)
     if not follow and count is None:
         _print_classic(plan, first, as_json=as_json, one_line=False)
         return
@@ -166,7 +156,7 @@ def _show_classic(
 
     def news() -> int:
         nonlocal last
-        state = _look(plan)
+        state = look_at(plan)
         if state.record is None or state.record == last:
             return 0
         last = state.record
@@ -212,16 +202,12 @@ def _print_fields(message: Any) -> None:
 
 def _view(topic: str, prefix: str, directory: str) -> ChannelView | None:
     """Return how a channel is, after a look or two; None if it is gone."""
-    from rosplc.monitor import Watch
-
     with Watch(prefix, directory=directory, topic=topic) as watch:
         return next(iter(settled(watch, _LEAST_S, _MOST_S).channels), None)
 
 
 def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: str) -> ChannelError:
     """Return the error, naming prefixes under which the topic exists, or a plain memory of its name."""
-    from rosplc.monitor import find_objects
-
     if error.code != "SHM101":
         return error
     others = sorted(
@@ -277,8 +263,6 @@ def _show_calls(
 
     Then print at ``most`` so many new messages; None: until Ctrl-C.
     """
-    from rosplc.monitor import Watch
-
     seen: dict[str, int] = {}
 
     def read(picture: Picture) -> list[tuple[ChannelView, Message | None]]:
@@ -331,8 +315,6 @@ def _call_facts(view: ChannelView, message: Message | None, *, header: bool) -> 
 
 
 def _print_call(view: ChannelView, message: Message | None, *, header: bool) -> None:
-    from rosplc.monitor.picture import age_text, plc_text
-
     marks = f"message {message.sequence} ({', '.join(message.marks)})" if message else "no message yet"
     old = "" if view.age_ns is None else f", {age_text(view.age_ns)} old"
     say(f"{view.label}  {view.type_name}  {marks}  {view.state.value}{old}: {view.words}")
@@ -393,10 +375,6 @@ def _print_message(
     as_json: bool,
     one_line: bool = False,
 ) -> None:
-    from rosplc.layout.view import plain
-    from rosplc.monitor.message import marks_of
-    from rosplc.monitor.picture import age_text
-
     info = channel.info if message is not None else None
     if as_json:
         counters = {name: getattr(info, name, 0) for name in ("sequence", "stamp_ns", "flags", "lost")}

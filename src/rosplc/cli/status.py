@@ -19,7 +19,6 @@ from __future__ import annotations
 import time
 from collections.abc import Collection
 from datetime import datetime
-from typing import TYPE_CHECKING
 
 import typer
 
@@ -27,9 +26,18 @@ from rosplc.cli.options import Configs, Directory, Prefix, StaleAfter, nothing_t
 from rosplc.cli.text import print_json, say, table
 from rosplc.cli.verb import EXIT_FAILURE, verb
 from rosplc.harmless import listed, plural
-
-if TYPE_CHECKING:
-    from rosplc.monitor import Picture, Watch
+from rosplc.monitor import Picture, Watch
+from rosplc.monitor.picture import (
+    ASKS,
+    age_text,
+    count_text,
+    event_text,
+    grouped,
+    plc_text,
+    rate_text,
+    state_text,
+    way_text,
+)
 
 _LEAST_SECONDS = 1.0
 _MOST_SECONDS = 31.0  # a beat is never promised for more than ten seconds, and three are waited for
@@ -65,8 +73,6 @@ def command(
 
 
 def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
-    from rosplc.monitor.picture import age_text, count_text, plc_text, rate_text, state_text, way_text
-
     if not picture.channels:
         say(nothing_there(prefixes, directory))
         return
@@ -107,8 +113,6 @@ def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
 
 
 def _print_calls(picture: Picture, several: bool) -> None:
-    from rosplc.monitor.picture import ASKS, count_text, plc_text, state_text
-
     rows = []
     for view in picture.channels:
         if view.part not in ASKS:
@@ -137,8 +141,6 @@ def _print_calls(picture: Picture, several: bool) -> None:
 
 
 def _follow(watch: Watch, *, as_json: bool) -> None:
-    from rosplc.monitor.picture import event_text, grouped
-
     while True:
         time.sleep(_FOLLOW_SECONDS)
         events = watch.look().events

@@ -22,7 +22,7 @@ rosplc types --distros  —  the bundled distributions
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
@@ -31,11 +31,10 @@ from rosplc.cli.text import print_json, say, table, warn
 from rosplc.cli.verb import verb
 from rosplc.errors import BackendError
 from rosplc.harmless import plural
-
-if TYPE_CHECKING:
-    from rosplc.layout import Layout, Limits
-    from rosplc.layout.nodes import Node
-    from rosplc.model import MessageType, TypeStore
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.layout.nodes import ArrayNode, Node, ScalarNode, SequenceNode, StringNode, StructNode
+from rosplc.model import DISTROS, MessageType, TypeStore
+from rosplc.plc.names import IEC_TYPES, type_prefix
 
 
 @verb
@@ -68,9 +67,6 @@ def command(
         timeout SECONDS: With --from-topic: how long to wait for a publisher.
         distros: List the bundled distributions.
     """
-    from rosplc.layout import compute_layout
-    from rosplc.model import DISTROS, TypeStore
-
     if distros:
         stores = [TypeStore.bundled(each) for each in DISTROS]
         if as_json:
@@ -140,8 +136,6 @@ def _parts(store: TypeStore, name: str) -> dict[str, MessageType]:
 def _show_parts(
     store: TypeStore, name: str, parts: dict[str, MessageType], limits: Limits, *, as_json: bool
 ) -> None:
-    from rosplc.layout import Limits, compute_layout
-
     own: dict[str, dict[str, int]] = {part: {} for part in parts}
     for path, capacity in limits.fields.items():
         part, _, field = path.partition(".")
@@ -187,8 +181,6 @@ def parse_limits(texts: list[str]) -> Limits:
 
     Raises BadParameter, a text is not of that form; LayoutError LAY001, a capacity is out of range.
     """
-    from rosplc.layout import Limits
-
     given: dict[str, int] = {}
     for text in texts:
         field, equals, number = text.rpartition("=")
@@ -243,9 +235,6 @@ def _describe(store: TypeStore, layout: Layout) -> None:
 
 def _names(node: Node) -> tuple[str, str]:
     """Return a node's type in ROS's words, with its capacity, and in IEC 61131-3."""
-    from rosplc.layout.nodes import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
-    from rosplc.plc.names import IEC_TYPES, type_prefix
-
     if isinstance(node, ScalarNode):
         return node.kind, IEC_TYPES[node.kind]
     if isinstance(node, StringNode):
