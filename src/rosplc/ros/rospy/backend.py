@@ -65,8 +65,6 @@ class Registration:
             with contextlib.suppress(UnreachableError, RefusedError):
                 for topic in self._registered.values():
                     topic.unregister(self._master)
-                if self._node.parameters is not None:
-                    self._node.parameters.leave(self._master)
         self._registered = {}
         self._master.close()
 
@@ -286,8 +284,10 @@ class RospyBackend(BaseNode):
         registration = self._registration
         return registration.state.services.get(service, frozenset()) if registration else frozenset()
 
-    def keep_parameters(self, declared: Sequence[Parameter], apply: Apply | None = None) -> MasterParameters:
-        """Keep parameters on the master's parameter server; ``apply`` is asked as by a ParameterServer."""
+    def keep_parameters(
+        self, declared: Sequence[Parameter], apply: Apply = lambda _values, done: done("")
+    ) -> MasterParameters:
+        """Keep parameters on the master's parameter server, as a ParameterServer does in ROS 2."""
         self.parameters = MasterParameters(self, declared, apply)
         self.wake()
         return self.parameters

@@ -29,7 +29,7 @@ class MasterParameters:
     the node's registration; the other methods are for any.
     """
 
-    def __init__(self, node: Any, declared: Sequence[Parameter], apply: Apply | None) -> None:
+    def __init__(self, node: Any, declared: Sequence[Parameter], apply: Apply) -> None:
         self._own = [each for each in declared if each.take is None]
         self._global = [each for each in declared if each.take is not None]
         self.values = {each.name: each.value for each in declared}
@@ -62,10 +62,6 @@ class MasterParameters:
     def close(self) -> None:
         """Look no more; what the server has stays."""
         self._closed = True
-
-    def leave(self, master: Master) -> None:
-        """Be told no more of what is set."""
-        master.call("unsubscribeParam", self._node.uri, self._place)
 
     def look(self, master: Master) -> None:
         """Compare with the server, each second. Raises as :meth:`Master.call`."""
@@ -114,7 +110,7 @@ class MasterParameters:
             except ValueError as error:
                 self._refused(each.name, str(error))
                 continue
-            if value == self.values[each.name]:
+            if value == self.values[each.name] and each.name not in self._asked:
                 continue
             if preset is not None and each.name not in preset:
                 self._refused(each.name, "the command line says so")
@@ -138,8 +134,7 @@ class MasterParameters:
             self.notice()
 
         self._asked.update(wanted)
-        if self._apply is not None:
-            self._apply(wanted, done)
+        self._apply(wanted, done)
 
 
 def _form(value: Any) -> Any:
