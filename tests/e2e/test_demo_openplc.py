@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -48,6 +49,18 @@ def test_messages_cross(kill: bool) -> None:
     assert result["cycle"]["scans"] > 300
     assert objects(prefix) == []
     assert Runtime.ask("STATUS") == ""
+
+
+def test_a_runtime_that_ends_is_named() -> None:
+    """The demonstration ends with it, and says so."""
+    with demo("--plc", "openplc", "--duration", "600s") as child:
+        pids = wait_for(lambda: processes(child), "three processes", seconds=300)
+        wait_for(lambda: "RUNNING" in Runtime.ask("STATUS"), "the runtime runs")
+        (runtime,) = Path(f"/proc/{pids['openplc']}/task/{pids['openplc']}/children").read_text().split()
+        os.kill(int(runtime), signal.SIGKILL)
+        out, err = child.communicate(timeout=120)
+    assert child.returncode == 1, out + err
+    assert "OpenPLC's runtime has ended" in err
 
 
 def test_a_killed_plc_takes_the_runtime_with_it() -> None:

@@ -20,14 +20,12 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
-from rosplc.config.resolve import load_project
+from rosplc.demo.outside import write_configuration
 from rosplc.demo.plan import COMMAND, Plan, command, open_command, steer
 from rosplc.demo.st.process import (
-    CONFIGURATION,
     MAIN,
     find_translator,
     read_texts,
-    write_configuration,
     write_texts,
 )
 from rosplc.demo.supervisor import Demo
@@ -206,8 +204,7 @@ def test_a_mistake_in_the_program_is_named_with_its_line():
 
 def generate(folder, plan, options):
     """Write the PLC project of a run into a folder and build it."""
-    write_configuration(folder, plan)
-    project = plc_project(load_project(folder / CONFIGURATION), options)
+    project = plc_project(write_configuration(folder, plan), options)
     translator = find_translator()
     write_texts(folder, plan, project, translator.programs)
     return translator, translator.build(read_texts(folder))
@@ -243,7 +240,7 @@ def test_the_program_steers_as_the_python_program_does(machine):
     """The same poses give the same commands, numbered and sealed, whether in Python or in ST."""
     pose, twist = compute_layout(STORE, POSE), compute_layout(STORE, TWIST)
     read, write = "ROS_Read.turtle_pose", "ROS_Write.turtle_cmd_vel"
-    machine.set(f"{MAIN}.xDrive", True)
+    machine.write("ROS_Read.demo_drive.msg", b"\1")
     machine.set(f"{read}.xValid", True)
     machine.set(f"{write}.xReady", True)
     random_ = random.Random(5)
@@ -273,7 +270,7 @@ def test_without_a_fresh_pose_nothing_is_sent(machine, name, value):
     """A pose that is missing or stale stops the commands, and so does the operator."""
     read, enable = f"ROS_Read.turtle_pose.{name}", "ROS_Write.turtle_cmd_vel.xEnable"
     machine.set("ROS_Read.turtle_pose.xValid", True)
-    machine.set(f"{MAIN}.xDrive", True)
+    machine.write("ROS_Read.demo_drive.msg", b"\1")
     machine.scan(MAIN)
     assert machine.get(enable)
     before = machine.get(read)
@@ -281,6 +278,6 @@ def test_without_a_fresh_pose_nothing_is_sent(machine, name, value):
     machine.scan(MAIN)
     assert not machine.get(enable)
     machine.set(read, before)
-    machine.set(f"{MAIN}.xDrive", False)
+    machine.write("ROS_Read.demo_drive.msg", b"\0")
     machine.scan(MAIN)
     assert not machine.get(enable)

@@ -103,22 +103,15 @@ def parse_duration(text: str) -> float:
 @contextlib.contextmanager
 def _structured_text(plan: Plan) -> Iterator[Path]:
     """Give a folder with the PLC project in Structured Text, compiled by the time it is given."""
-    from rosplc.config.resolve import load_project
-    from rosplc.demo.st.process import (
-        CONFIGURATION,
-        find_translator,
-        read_texts,
-        write_configuration,
-        write_texts,
-    )
+    from rosplc.demo.outside import write_configuration
+    from rosplc.demo.st.process import find_translator, read_texts, write_texts
     from rosplc.plc.build import plc_project
     from rosplc.plc.plan import ProjectOptions
 
     translator = find_translator()
     with tempfile.TemporaryDirectory(prefix="rosplc-demo-st-") as name:
         folder = Path(name)
-        write_configuration(folder, plan)
-        project = plc_project(load_project(folder / CONFIGURATION), ProjectOptions())
+        project = plc_project(write_configuration(folder, plan), ProjectOptions())
         write_texts(folder, plan, project, translator.programs)
         with _translating() as on_parsed:
             built = translator.build(read_texts(folder), on_parsed)
@@ -132,10 +125,11 @@ def _structured_text(plan: Plan) -> Iterator[Path]:
 @contextlib.contextmanager
 def _openplc(plan: Plan) -> Iterator[Path]:
     """Give a folder with the PLC program, compiled for OpenPLC's runtime."""
-    from rosplc.demo.openplc import compile_prepared, prepare, write_program
+    from rosplc.demo.openplc import compile_prepared, prepare, program_text
+    from rosplc.demo.outside import write_configuration
 
     with tempfile.TemporaryDirectory(prefix="rosplc-demo-openplc-") as name:
-        prepare(Path(name), *write_program(Path(name), plan))
+        prepare(Path(name), write_configuration(Path(name), plan), program_text(plan))
         print("compiling the PLC program for OpenPLC", file=sys.stderr, flush=True)
         compile_prepared(Path(name))
         yield Path(name)

@@ -1,8 +1,4 @@
-"""The PLC's process with ``--plc openplc``: starts OpenPLC's runtime with the PLC program, and watches it.
-
-The program passes on every message that it took, over channels of this process, which counts and checks
-each with the very code that the Python program is counted with.
-"""
+"""The PLC's process with ``--plc openplc``: starts OpenPLC's runtime with the PLC program, and watches it."""
 
 from __future__ import annotations
 
@@ -13,28 +9,20 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import rosplc
-from rosplc.config.resolve import Project, load_project
+from rosplc.config.resolve import Project
+from rosplc.demo.outside import DRIVE, STEER, TAKEN, Outside
 from rosplc.demo.plan import COMMAND, Plan, robot_topics
-from rosplc.demo.plc import Arrivals
 from rosplc.demo.processes import Commands, report
-from rosplc.described import description_of
 from rosplc.errors import RosplcError, SetupError
-from rosplc.monitor.watch import Watch
 from rosplc.plc.base import render
 from rosplc.plc.names import instance_names, time_literal
-from rosplc.shm import Namespace, OwnedChannel
 
 RUN = Path("/run/runtime")  # OpenPLC's own folder for its sockets
 _BUILT = {"ROSPLC_OPENPLC": "build/plc_main", "ROSPLC_STRUCPP": "dist/index.js"}
-_CONFIGURATION = "rosplc.yaml"
-_DRIVE, _TAKEN = "/demo/drive", "/demo/taken"
 
 
 def find_openplc() -> tuple[Path, Path]:
@@ -105,9 +93,13 @@ class Runtime:
         command = ["setpriv", "--pdeathsig", "KILL", str(main), "--print-logs"]
         self._process = subprocess.Popen(command, cwd=folder, stdout=sys.stderr)
         while "RUNNING" not in self.ask("STATUS"):
-            if self._process.poll() is not None:
-                raise SetupError("SYS002", "OpenPLC's runtime has ended", where=str(folder))
+            self.check()
             time.sleep(0.05)
+
+    def check(self) -> None:
+        """Raise SetupError SYS002 if it has ended."""
+        if self._process.poll() is not None:
+            raise SetupError("SYS002", "OpenPLC's runtime has ended")
 
     @staticmethod
     def ask(command: str) -> str:
@@ -127,89 +119,25 @@ class Runtime:
         self._process.wait()
 
 
-def write_program(folder: Path, plan: Plan) -> tuple[Project, str]:
-    """Write the configuration of the PLC's half into a folder; return it, and the PLC program's text."""
+def program_text(plan: Plan) -> str:
+    """Return the PLC program for OpenPLC."""
     kinds = robot_topics(plan.topics)
-    configuration = plan.configuration()
-    topics = configuration["topics"]
-    topics |= {f"{_TAKEN}{topic}": {**topics[topic], "to": "ros"} for topic in kinds}
-    topics[_DRIVE] = {"type": "std_msgs/msg/Bool", "to": "plc"}
-    (folder / _CONFIGURATION).write_text(json.dumps(configuration), encoding="utf-8")
-    program = render(
+    return render(
         "openplc/demo.st",
-        steer=(Path(__file__).parent / "st/Demo_Steer.st").read_text(encoding="ascii"),
+        steer=STEER.read_text(encoding="ascii"),
         kinds=kinds,
         names=instance_names(list(kinds)),
         command=COMMAND[0],
-        drive=_DRIVE,
-        taken=_TAKEN,
+        drive=DRIVE,
+        taken=TAKEN,
         per_scan=plan.per_scan,
         interval=time_literal(round(plan.interval * 1e9)),
     )
-    return load_project(folder / _CONFIGURATION), program
 
 
-class Outside:
-    """The runtime's program, seen from the outside: what it passed on, and what its channels say."""
-
-    def __init__(self, plan: Plan, commands: Commands, folder: Path, stack: ExitStack) -> None:
-        self._commands = commands
-        self._kinds = robot_topics(plan.topics)
-        self._arrivals = Arrivals(self._kinds)
-        project = load_project(folder / _CONFIGURATION)
-        self._plans = {topic.topic: topic for topic in project.topics}
-        channels = {}
-        for topic, own in self._plans.items():
-            if topic.startswith("/demo/"):
-                about = description_of(own.layout, topic, own.direction, bridge="demo")
-                size = own.layout.size
-                opened = OwnedChannel.open(Namespace(plan.prefix), about, record_size=size, slots=plan.slots)
-                stack.callback(opened.close)
-                channels[topic] = opened
-        self._drive = channels[_DRIVE].writer()
-        self._readers = {topic: channels[f"{_TAKEN}{topic}"].reader() for topic in self._kinds}
-        self._halted = 0  # the first message that told the program to drive no more
-        self._watch = stack.enter_context(Watch(plan.prefix))
-
-    def look(self) -> None:
-        """Set the operator's switch, and count what the program passed on."""
-        halt = self._commands.drain.is_set()
-        driving = self._commands.go.is_set() and not halt
-        number = self._drive.publish(self._plans[_DRIVE].layout.pack({"data": driving}))
-        self._halted = self._halted or number * halt
-        for topic, reader in self._readers.items():
-            layout, open_message = self._plans[topic].layout, self._kinds[topic].open
-            record = bytearray(layout.size)
-            while taken := reader.next(record):
-                self._arrivals.add(topic, open_message(layout.view(record)), taken.stamp_ns)
-            reader.beat()
-
-    def status(self) -> dict[str, Any]:
-        """Return what the parent shows and compares."""
-        views = {view.topic: view for view in self._watch.look().channels}
-        alive = {topic for topic, view in views.items() if view.plc_alive and view.bridge_alive}
-        waiting = {
-            topic: views[topic].words if topic in views else "" for topic in self._plans.keys() - alive
-        }
-        # The switch was taken before the commands were counted.
-        drained = 0 < self._halted <= max((line.taken for line in views[_DRIVE].readers), default=0)
-        command = views.get(COMMAND[0])
-        return {
-            "ready": not waiting,
-            "waiting": waiting,
-            "drained": drained,
-            "sent": {COMMAND[0]: command.received if command else 0},
-            "received": {topic: asdict(tally) for topic, tally in self._arrivals.tallies.items()},
-            "counters": {topic: {"lost": views[topic].lost} for topic in self._kinds if topic in views},
-            "age": self._arrivals.recent(),
-            "ages": self._arrivals.summary(),
-            "cycle": _cycle(Runtime.ask("STATS")),
-        }
-
-
-def _cycle(stats: str) -> Mapping[str, float]:
+def _cycle() -> dict[str, float]:
     """Return what the runtime says of its task; times in µs."""
-    (task,) = json.loads(stats.partition(":")[2] or '{"tasks": [{}]}')["tasks"] or [{}]
+    (task,) = json.loads(Runtime.ask("STATS").partition(":")[2] or '{"tasks": [{}]}')["tasks"] or [{}]
     names = {"scans": "scan_count", "missed": "overruns"}
     names |= {"cycle_mean_us": "scan_time_avg", "cycle_max_us": "scan_time_max"}
     return {ours: task.get(name) or 0 for ours, name in names.items()}
@@ -223,14 +151,13 @@ def main() -> None:
         with ExitStack() as stack:
             folder = Path(sys.argv[2])
             program = Outside(plan, commands, folder, stack)
-            stack.callback(Runtime(folder).kill)
-            due = 0.0
-            while not commands.stop.wait(plan.interval):
-                program.look()
-                if time.monotonic() >= due:
-                    due = time.monotonic() + 0.1
-                    report("status", **program.status())
-            report("status", **program.status())
+            runtime = Runtime(folder)
+            stack.callback(runtime.kill)
+            arrivals = program.arrivals
+            while not commands.stop.wait(0.1):
+                runtime.check()
+                report("status", cycle=_cycle(), age=arrivals.recent(), **program.status())
+            report("status", cycle=_cycle(), **program.status(), ages=arrivals.summary())
     except RosplcError as error:
         report("error", **error.to_dict())
         sys.exit(1)

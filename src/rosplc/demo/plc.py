@@ -1,6 +1,6 @@
 """The virtual PLC's process: takes the robot's messages, steers it, knows nothing of ROS.
 
-The task, and what is kept of messages, it shares with the process that runs Structured Text.
+The task, and what is kept of messages, it shares with the processes that run Structured Text.
 """
 
 from __future__ import annotations
@@ -9,9 +9,8 @@ import math
 import sys
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from statistics import median, quantiles
 from typing import Any
@@ -73,68 +72,34 @@ def serve(
     return task.stats
 
 
-class Program(ABC):
-    """A PLC program of the demonstration; ``state`` is what it last knew, guarded by ``lock``.
-
-    Outputs of blocks are attributes, and so is ``reason``, why a block waits.
-    """
-
-    def __init__(self, reads: Mapping[str, Any], write: Any) -> None:
-        self.reads = reads  # the blocks by topic
-        self.write = write  # the command's
-        self.arrivals = Arrivals(reads)
-        self.lock = threading.Lock()
-        self.state: dict[str, Any] = {}
-
-    @abstractmethod
-    def __call__(self) -> None:
-        """Run one scan."""
-
-    def note(self, sent: int, **more: Any) -> None:
-        """Keep what a scan has left behind; so many commands have been sent."""
-        blocks = {**self.reads, COMMAND[0]: self.write}
-        waiting = {
-            topic: block.reason or "the bridge does not beat"
-            for topic, block in blocks.items()
-            if block.udiError or not block.xPeerAlive
-        }
-        counters = {"sequence": "udiSequence", "lost": "udiLost", "error": "udiError"}
-        state = {
-            "ready": not waiting and bool(self.write.xReady),
-            "waiting": waiting,
-            "sent": {COMMAND[0]: sent},
-            "received": {topic: asdict(tally) for topic, tally in self.arrivals.tallies.items()},
-            "counters": {
-                topic: {key: getattr(read, output) for key, output in counters.items()}
-                for topic, read in self.reads.items()
-            },
-        }
-        with self.lock:
-            self.state = state | more
-
-
-def serve_demo(program: Program, interval: float, commands: Commands) -> None:
+def serve_demo(
+    program: Callable[[], None],
+    interval: float,
+    commands: Commands,
+    arrivals: Arrivals,
+    facts: Callable[[], dict[str, Any]],
+) -> None:
     """Run a program of the demonstration; its last report has the ages of all messages."""
 
-    def facts(stats: CycleStats) -> dict[str, Any]:
-        with program.lock:
-            state = program.state
-        age, drained = program.arrivals.recent(), commands.drain.is_set()
-        return {"drained": drained, "cycle": stats.to_dict(), "age": age, **state}
+    def shown(stats: CycleStats) -> dict[str, Any]:
+        return {"cycle": stats.to_dict(), "age": arrivals.recent(), **facts()}
 
-    stats = serve(program, interval, commands, facts)
-    report("status", cycle=stats.to_dict(), ages=program.arrivals.summary(), **program.state)
+    stats = serve(program, interval, commands, shown)
+    report("status", **shown(stats), ages=arrivals.summary())
 
 
-class PythonProgram(Program):
+class PythonProgram:
     """The PLC program: reads every topic, computes the command from the pose."""
 
     def __init__(self, plan: Plan, commands: Commands) -> None:
         self._commands = commands
         self._kinds = robot_topics(plan.topics)
         how: dict[str, Any] = {"mode": "every", "max_per_cycle": plan.per_scan, "stale_after": 0.5}
-        reads = {topic: ReadBlock(topic, prefix=plan.prefix, **how) for topic in self._kinds}
-        super().__init__(reads, WriteBlock(COMMAND[0], prefix=plan.prefix))
+        self.reads = {topic: ReadBlock(topic, prefix=plan.prefix, **how) for topic in self._kinds}
+        self.write = WriteBlock(COMMAND[0], prefix=plan.prefix)
+        self.arrivals = Arrivals(self._kinds)
+        self._lock = threading.Lock()
+        self._state: dict[str, Any] = {}
         self._sent = 0
         self._corner = 0
 
@@ -144,7 +109,27 @@ class PythonProgram(Program):
             for message in read.each():
                 self.arrivals.add(topic, self._kinds[topic].open(message), time.time_ns())
         self._steer()
-        self.note(self._sent)
+        blocks = {**self.reads, COMMAND[0]: self.write}
+        waiting = {
+            topic: block.reason or "the bridge does not beat"
+            for topic, block in blocks.items()
+            if block.udiError or not block.xPeerAlive
+        }
+        state = {
+            "ready": not waiting and self.write.xReady,
+            "waiting": waiting,
+            "sent": {COMMAND[0]: self._sent},
+            "received": {topic: asdict(tally) for topic, tally in self.arrivals.tallies.items()},
+            "counters": {topic: {"lost": read.udiLost} for topic, read in self.reads.items()},
+        }
+        with self._lock:
+            self._state = state
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the last scan has left behind."""
+        drained = self._commands.drain.is_set()
+        with self._lock:
+            return {"drained": drained, **self._state}
 
     def _steer(self) -> None:
         pose = self.reads["/turtle/pose"]
@@ -165,7 +150,7 @@ def main() -> None:
     commands = Commands()
     plan = Plan.from_json(sys.argv[1])
     program = PythonProgram(plan, commands)
-    serve_demo(program, plan.interval, commands)
+    serve_demo(program, plan.interval, commands, program.arrivals, program.facts)
     for block in (*program.reads.values(), program.write):
         block.close()
 

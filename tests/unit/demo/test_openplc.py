@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 import rosplc
-from rosplc.demo.openplc import find_openplc, write_program
+from rosplc.demo.openplc import find_openplc, program_text
+from rosplc.demo.outside import write_configuration
 from rosplc.demo.plan import COMMAND, Plan, command, robot_topics
 from rosplc.errors import SetupError
 
@@ -62,7 +63,7 @@ def test_without_an_installation(
 
 def test_the_program_uses_what_is_generated(plan: Plan, tmp_path: Path) -> None:
     """Every block that it declares is generated, and is called for a topic of its type and direction."""
-    project, program = write_program(tmp_path, plan)
+    project, program = write_configuration(tmp_path, plan), program_text(plan)
     rosplc.generate(project, tmp_path / "plc", plc="openplc")
     text = (tmp_path / "plc" / "rosplc.st").read_text() + program
     blocks = set(re.findall(r"^FUNCTION_BLOCK (\w+)", text, re.M))
@@ -83,7 +84,7 @@ def test_the_program_uses_what_is_generated(plan: Plan, tmp_path: Path) -> None:
 
 def test_its_seal_is_that_of_the_python_program(plan: Plan, tmp_path: Path) -> None:
     """The robot would take any other for a torn command."""
-    program = write_program(tmp_path, plan)[1]
+    program = program_text(plan)
     body = re.search(r"FUNCTION_BLOCK Demo_Seal\n.*?\{external\n(.*?)\n\}\n", program, re.S)
     assert body is not None
     (tmp_path / "seal.cpp").write_text(SEAL % body[1])
