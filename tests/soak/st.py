@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.config.resolve import Project, load_project
-from rosplc.demo.st.process import Word, find_translator
+from rosplc.demo.st.process import find_translator
 from rosplc.layout import Layout
 from rosplc.plc.build import plc_project
 from rosplc.plc.names import instance_names
@@ -71,6 +71,23 @@ END_WHILE;
 END_PROGRAM
 """
     return texts
+
+
+class Word:
+    """A BOOL or UINT or UDINT of the PLC's memory, by its path."""
+
+    def __init__(self, machine: Any, path: str) -> None:
+        self._machine = machine
+        self._address, type_ = machine.find(path)
+        self._size = machine.size(type_)
+
+    def get(self) -> int:
+        """Return its value."""
+        return int.from_bytes(self._machine.peek(self._address, self._size), "little")
+
+    def set(self, value: int) -> None:
+        """Change it."""
+        self._machine.poke(self._address, value.to_bytes(self._size, "little"))
 
 
 class _Reading:

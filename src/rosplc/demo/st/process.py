@@ -27,6 +27,7 @@ from rosplc.demo.processes import Commands, report
 from rosplc.errors import GenerationError, RosplcError, SetupError
 from rosplc.plc.names import instance_names
 from rosplc.plc.project import PlcProject, project_texts
+from rosplc.virtual_plc import CycleStats
 
 
 @dataclass(frozen=True)
@@ -152,51 +153,27 @@ END_VAR
 """
 
 
-class Word:
-    """A BOOL or UINT or UDINT of the PLC's memory, by its path."""
-
-    def __init__(self, machine: Any, path: str) -> None:
-        self._machine = machine
-        self._address, type_ = machine.find(path)
-        self._size = machine.size(type_)
-
-    def get(self) -> int:
-        """Return its value."""
-        return int.from_bytes(self._machine.peek(self._address, self._size), "little")
-
-    def set(self, value: int) -> None:
-        """Change it."""
-        self._machine.poke(self._address, value.to_bytes(self._size, "little"))
-
-
 class StructuredText:
     """The Structured Text as a program of the virtual PLC's task."""
 
     def __init__(self, folder: Path) -> None:
         translator = find_translator()
-        self._machine = machine = translator.machine(translator.build(read_texts(folder)))
-        machine.start()
-        self._now = Word(machine, f"{RECORDER}.uliNow")
-        self._scans = 0
-        self._sum_ns = 0
-        self._longest_ns = 0
+        self._machine = translator.machine(translator.build(read_texts(folder)))
+        self._machine.start()
+        self._stats = CycleStats()
 
     def __call__(self) -> None:
         """Run one scan, and measure it."""
         began = time.perf_counter_ns()
         self._run(READ)
-        self._now.set(time.time_ns())
+        self._machine.set(f"{RECORDER}.uliNow", time.time_ns())
         for program in (RECORDER, MAIN, WRITE):
             self._run(program)
-        lasted_ns = time.perf_counter_ns() - began
-        self._scans += 1
-        self._sum_ns += lasted_ns
-        self._longest_ns = max(self._longest_ns, lasted_ns)
+        self._stats.add(0, time.perf_counter_ns() - began)
 
     def alone(self) -> dict[str, float]:
         """Return mean and longest time of a scan, in µs."""
-        mean = self._sum_ns / self._scans if self._scans else 0.0
-        return {"mean_us": mean / 1000, "max_us": self._longest_ns / 1000}
+        return {"mean_us": self._stats.cycle_mean / 1000, "max_us": self._stats.cycle_max / 1000}
 
     def _run(self, program: str) -> None:
         try:
