@@ -285,12 +285,8 @@ class CalledGoals(Asked):
         super().turn(now_ns)
         self._ask(now_ns)
         goal = self._goal
-        words = {
-            0: "executing",
-            spec.ANSWER_CANCEL_ACCEPTED: "canceling",
-            spec.ANSWER_CANCEL_REJECTED: "executing",
-        }
-        self.goal_status = "" if goal is None else words[goal.said] if goal.accepted else "waiting"
+        accepted = "canceling" if goal and goal.said == spec.ANSWER_CANCEL_ACCEPTED else "executing"
+        self.goal_status = "" if goal is None else accepted if goal.accepted else "waiting"
 
     # -- the PLC's side
 

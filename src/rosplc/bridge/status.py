@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from rosplc.levels import Level as Level
 from rosplc.levels import format_age as format_age
 from rosplc.shm import Direction
+from rosplc.shm.names import Call
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +125,7 @@ class TopicStatus(PortStatus):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CallStatus:
+class CallStatus(Call):
     """The state of one use of a service or action; each call is in exactly one of its numbers."""
 
     type_name: str  # ``package/srv/Name`` or ``package/action/Name``
@@ -144,18 +145,6 @@ class CallStatus:
     reason: str = ""  # in words, what is wrong or was wrong last; empty if all is well
     code: str = ""  # the error code that goes with ``reason``; empty if there is none
     recent: bool = False  # whether ``reason`` is from the last ten seconds, or still holds
-
-    kind: ClassVar[Literal["service", "action"]]
-
-    @property
-    def called(self) -> str:
-        """The service or action as ROS writes it."""
-        return str(getattr(self, self.kind))
-
-    @property
-    def name(self) -> str:
-        """What people call it: its kind, its name in ROS and its client."""
-        return f"{self.kind} {self.called} {self.client}".rstrip()
 
     @property
     def _summary(self) -> str:

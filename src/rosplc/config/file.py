@@ -122,8 +122,7 @@ def _parse(path: Path, text: str | None, base: Path) -> Config:
         source = read_yaml(path, problems, text=text)
     except ConfigError as error:
         problems.add(error)
-        problems.check()
-        raise  # pragma: no cover - check() raises
+        problems.fail()
     return _validate(source, base, problems)
 
 
@@ -145,8 +144,7 @@ def _validate(source: YamlSource, base: Path, problems: Problems) -> Config:
         for item in error.errors(include_url=False):
             path = _real_path(item["loc"], source)
             problems.add(_explain(dict(item), path, source), source.line(path))
-        problems.check()
-        raise  # pragma: no cover - check() raises
+        problems.fail()
     problems.check()
     fixed = settings.model_dump(mode="json", by_alias=True, exclude=_MAY_CHANGE)
     return Config(settings, source, base, fixed)

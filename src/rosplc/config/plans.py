@@ -17,6 +17,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import SERVICES, Qos
 from rosplc.shm import ACTION, SERVICE, Part
 from rosplc.shm.constants import MAX_NAME
+from rosplc.shm.names import Call
 
 if TYPE_CHECKING:
     from rosplc.config.settings import ActionSettings, ServiceSettings, TopicSettings
@@ -238,7 +239,7 @@ _RESERVED = ("_action", "_service_event")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CallPlan:
+class CallPlan(Call):
     """One use of a service or action with everything decided; one that the PLC carries out has one use."""
 
     type_name: str  # ``package/srv/Name`` or ``package/action/Name``
@@ -247,20 +248,9 @@ class CallPlan:
     task: str  # name of the PLC task
     truncate: bool = False  # what comes from ROS and does not fit is cut, not refused
 
-    kind: ClassVar[Literal["service", "action"]]
     parts: ClassVar[tuple[Part, ...]]
     only: ClassVar[dict[str, frozenset[str]]]  # settings that only one value of ``server`` has
     port: ClassVar[Literal["channel"]] = "channel"
-
-    @property
-    def called(self) -> str:
-        """The service or action as ROS writes it."""
-        return str(getattr(self, self.kind))
-
-    @property
-    def name(self) -> str:
-        """What people call it; nothing else in the configuration has this name."""
-        return f"{self.kind} {self.called} {self.client}".rstrip()
 
     def layout(self, part: Part) -> Layout:
         """Return the layout of the records of one of its objects."""

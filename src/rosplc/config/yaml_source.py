@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 
@@ -82,8 +82,12 @@ class Problems:
     def check(self) -> None:
         """Raise what was collected. Raises ConfigErrors: Unless nothing was."""
         if self._errors:
-            self._errors.sort(key=lambda item: item[0])
-            raise ConfigErrors(error for _, error in self._errors)
+            self.fail()
+
+    def fail(self) -> NoReturn:
+        """Raise what was collected, which is something."""
+        self._errors.sort(key=lambda item: item[0])
+        raise ConfigErrors(error for _, error in self._errors)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

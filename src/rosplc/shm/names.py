@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import Direction
@@ -45,6 +45,23 @@ class Part(enum.Enum):
 
 SERVICE = (Part.REQUEST, Part.RESPONSE)
 ACTION = (Part.GOAL, Part.RESULT, Part.FEEDBACK)
+
+
+class Call:
+    """A use of a service or action; its name in ROS is an attribute that is called as its kind."""
+
+    kind: ClassVar[Literal["service", "action"]]
+    client: str
+
+    @property
+    def called(self) -> str:
+        """The service or action as ROS writes it."""
+        return str(getattr(self, self.kind))
+
+    @property
+    def name(self) -> str:
+        """What people call it: its kind, its name in ROS and its client. Nothing else has this name."""
+        return f"{self.kind} {self.called} {self.client}".rstrip()
 
 
 def fnv1a(text: str) -> int:
