@@ -16,6 +16,8 @@
 
 /* A head that its slot does not confirm is no news until it changes, or for this many looks. */
 #define REJECTED_LOOKS 16u
+/* Messages of a channel after which other threads, which beat, may have the GIL. */
+#define OTHERS_TURN 64u
 
 typedef struct {
     ReaderObject *reader; /* either this */
@@ -402,6 +404,10 @@ static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages,
     limit = entry->limit;
     Py_INCREF((PyObject *)reader);
     for (uint32_t i = 0; i < limit && taken == 1; i++) {
+        if (i && i % OTHERS_TURN == 0) { /* a long queue goes into a sink without any Python in between */
+            Py_BEGIN_ALLOW_THREADS;
+            Py_END_ALLOW_THREADS;
+        }
         if (reader->gate.busy && ch_gate_wait(&reader->gate)) {
             taken = -1;
             break;
