@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections import defaultdict
 from types import SimpleNamespace
 
 import pytest
@@ -18,7 +19,7 @@ from rosplc.config import parse_config, resolve
 from rosplc.monitor import Watch
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
-from rosplc.shm.attach import WriterProcess
+from rosplc.shm.attach import Peer, WriterProcess
 from rosplc.shm.constants import FLAG_FIRST
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
@@ -201,7 +202,7 @@ def test_a_client_that_writes_rarely_is_not_called_dead(beat_ms: int, lives: boo
     region = SimpleNamespace(words=lambda *_: tuple(words.values()), word=lambda _: 0)
     channel = SimpleNamespace(region=region, process=WriterProcess(0, 0))
     port = object.__new__(PortToRos)
-    port._alive, port._lived = {}, 0
+    port._peers, port._lived = defaultdict(Peer), 0
     assert not port._observe(channel, 0), "it may be what a dead one has left"  # type: ignore[arg-type]
     words["head"] += 1
     assert port._observe(channel, 10**9)  # type: ignore[arg-type]
