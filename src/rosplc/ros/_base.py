@@ -164,14 +164,6 @@ def queue_of(qos: backend.Qos) -> backend.Qos:
     return replace(qos, depth=max(qos.depth, 1000))
 
 
-def several(ours: BaseEndpoint, servers: list[str]) -> Problem | None:
-    """Return that a service has more than one server; ``servers`` are the others' names."""
-    if len(servers) + (ours.direction == "in") < 2:
-        return None
-    also = " as well" if ours.direction == "in" else ""
-    return "ROS022", f"{listed(sorted(servers))} serve{'s' * (len(servers) == 1)} {ours.topic}{also}"
-
-
 class BaseEndpoint:
     """An endpoint's counts and its end; ``type_hash`` is empty if there is none to compare."""
 
@@ -645,8 +637,11 @@ class BaseNode(Opener):
         """Return what keeps peers from matching an endpoint; empty texts if all is well."""
         peers, found = self._judge(endpoint)
         problems = [*filter(None, found)]
-        if endpoint.serves and (too_many := several(endpoint, self._other_servers(endpoint))):
-            problems.append(too_many)
+        if endpoint.serves:
+            others, serves = self._other_servers(endpoint), endpoint.direction == "in"
+            if len(others) + serves > 1:
+                what = f"{listed(sorted(others))} serve{'s' * (len(others) == 1)} {endpoint.topic}"
+                problems.append(("ROS022", what + " as well" * serves))
         if problems:
             return max(problems)[0], listed(sorted(words for _, words in problems))
         return "", "" if peers else f"no node {endpoint.peer_does} {endpoint.topic}"

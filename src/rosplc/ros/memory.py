@@ -25,6 +25,8 @@ _graph = threading.RLock()  # guards _domains and every list of endpoints: one s
 
 
 class _Endpoint(_base.BaseEndpoint):
+    _put: Any  # of those that receive
+
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._lock = _graph
@@ -34,6 +36,12 @@ class _Endpoint(_base.BaseEndpoint):
 
     def _checked(self, payload: bytes) -> bytes:
         return bytes(payload) if self._node.plain else super()._checked(payload)
+
+    def put(self, *message: Any) -> None:
+        """Queue what is received: a message, a request, or the number and the end of a call."""
+        with _graph:
+            self._put(*message)
+        self._node.news.set()
 
     def others(self) -> list[Any]:
         """Return the endpoints that may match this one; ours on the same node too, as in ROS."""
@@ -63,11 +71,6 @@ class _Endpoint(_base.BaseEndpoint):
 class MemorySubscription(_base.QueuedSubscription, _Endpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`."""
 
-    def put(self, payload: bytes, stamp_ns: int) -> None:
-        """Queue a message; the oldest one gives way. The graph's lock is held."""
-        self._put(payload, stamp_ns)
-        self._node.news.set()
-
 
 class MemoryPublisher(_base.BasePublisher, _Endpoint):
     """A topic being sent; see :class:`rosplc.ros.backend.Publisher`."""
@@ -88,11 +91,6 @@ class MemoryServer(_base.Queued, _base.KeepingServer, _Endpoint):
     """A service that is served; see :class:`rosplc.ros.backend.ServiceServer`."""
 
     _take = _base.KeepingServer._take
-
-    def put(self, *request: Any) -> None:
-        """Queue a request: payload, caller, stamp and client. The graph's lock is held."""
-        self._put(*request)
-        self._node.news.set()
 
     def _waits(self, caller: bytes, origin: Any) -> bool:
         return not origin.closed
@@ -115,12 +113,6 @@ class MemoryClient(_base.Queued, _base.BaseClient, _Endpoint):
     """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
 
     _take = _base.BaseClient.end
-
-    def put(self, number: int, reply: Reply) -> None:
-        """Queue a reply."""
-        with _graph:
-            self._put(number, reply)
-        self._node.news.set()
 
     def _receivers(self) -> list[Any]:
         return self.peers()

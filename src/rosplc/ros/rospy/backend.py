@@ -48,6 +48,9 @@ class Registration:
         self._wake = threading.Event()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="rosplc-master", daemon=True)
+
+    def start(self) -> None:
+        """Begin, once the node can be reached."""
         self._thread.start()
 
     def wake(self) -> None:
@@ -179,8 +182,8 @@ class RospyBackend(BaseNode):
         self.parameters: MasterParameters | None = None  # what it has on the master's server
         self._topics: dict[Key, Any] = {}
         self._ending: list[Any] = []
-        self._registration: Registration | None = None
         address = read_address(context.environment)
+        self._registration = Registration(self, address.master)
         try:
             self._servers = Servers(address, self, self.clock)
         except OSError as error:
@@ -190,7 +193,7 @@ class RospyBackend(BaseNode):
         # where its services are called
         self.service_uri = f"rosrpc://{address.host}:{self._servers.data.port}"
         self.master_uri = address.master  # the master's URI
-        self._registration = Registration(self, address.master)
+        self._registration.start()
 
     # -- endpoints
 
@@ -261,8 +264,7 @@ class RospyBackend(BaseNode):
 
     def wake(self) -> None:
         """Have the topics looked at now: a connection, a topic or a handle has come or gone."""
-        if self._registration is not None:
-            self._registration.wake()
+        self._registration.wake()
 
     def topics(self) -> dict[Key, Any]:
         """Return the topics that should be registered."""
@@ -281,8 +283,7 @@ class RospyBackend(BaseNode):
 
     def servers(self, service: str) -> frozenset[str]:
         """Return who serves a service, as the master knew it a second ago at most."""
-        registration = self._registration
-        return registration.state.services.get(service, frozenset()) if registration else frozenset()
+        return self._registration.state.services.get(service, frozenset())
 
     def keep_parameters(
         self, declared: Sequence[Parameter], apply: Apply = lambda _values, done: done("")
@@ -317,8 +318,7 @@ class RospyBackend(BaseNode):
 
     def _disconnect(self) -> None:
         """Disconnect, and keep the endpoints so that their status tells why."""
-        if self._registration is not None:
-            self._registration.close()
+        self._registration.close()
         for topic in self.topics().values():
             topic.disconnect() if isinstance(topic, RospyServer) else topic.close()
         self._servers.close()
@@ -334,32 +334,29 @@ class RospyBackend(BaseNode):
         return code, reason
 
     def _judge(self, endpoint: Any) -> tuple[bool, list[Problem]]:
-        registration = self._registration
         if self.ended:
             return True, [("ROS015", self.ended)]
-        if self._closed or registration is None:
+        if self._closed:
             return True, []
         met = bool(endpoint.matched)
         if isinstance(endpoint, RospySubscription):
             found = endpoint.shared.problems()
         elif isinstance(endpoint, RospyPublisher):
-            found = self._strange_subscribers(endpoint.shared, registration.state.subscribers)
+            found = self._strange_subscribers(endpoint.shared)
         elif isinstance(endpoint, RospyClient):
             found = [endpoint.problem] if endpoint.problem[1] else []
         else:
             met = True  # callers come and go
             others = self.servers(endpoint.topic) - {self.node}
             found = [("ROS022", f"node {other} has taken the service {endpoint.topic}") for other in others]
-        if registration.trouble:
-            found.append(("ROS014", registration.trouble))
+        if trouble := self._registration.trouble:
+            found.append(("ROS014", trouble))
         return met, found
 
-    def _strange_subscribers(
-        self, outgoing: Outgoing, subscribers: dict[str, frozenset[str]]
-    ) -> list[Problem]:
+    def _strange_subscribers(self, outgoing: Outgoing) -> list[Problem]:
         topic = outgoing.topic
         found = [wrong for _, wrong in list(outgoing.strangers.values())]
-        named = subscribers.get(topic, frozenset())
+        named = self._registration.state.subscribers.get(topic, frozenset())
         absent = named - outgoing.subscribers() - set(outgoing.strangers)
         for node in sorted(absent):
             text = f"node {node} subscribes to {topic}, not connected yet"
@@ -378,7 +375,7 @@ class RospyBackend(BaseNode):
 
         ROS 1 knows a topic's type and no quality of service: only who latches, once connected.
         """
-        if self._registration is None or self._closed:
+        if self._closed:
             return GraphInfo()
         state = self._registration.state
         latching = {
@@ -409,9 +406,7 @@ class RospyBackend(BaseNode):
         return replace(found, topics=told)
 
     def _stop(self) -> None:
-        registration, self._registration = self._registration, None
-        if registration is not None:
-            registration.close()
+        self._registration.close()
 
     def _leave(self) -> None:
         self._servers.close()

@@ -7,6 +7,7 @@ import ipaddress
 import socket
 import xmlrpc.client
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
@@ -27,15 +28,18 @@ class Address:
     bind: str  # the address to listen at; everything but a loopback ``host`` listens everywhere
 
 
+def place_of(uri: object, scheme: str = "http") -> tuple[str, int] | None:
+    """Return host and port of ``http://host:port``, with or without a slash at its end; else None."""
+    with suppress(ValueError):
+        parts = urlsplit(uri) if isinstance(uri, str) and len(uri) <= 1024 else None
+        if parts is not None and parts.scheme == scheme and parts.hostname and parts.port:
+            return parts.hostname, parts.port
+    return None
+
+
 def is_node_uri(uri: object) -> bool:
-    """Return whether this is ``http://host:port``, with or without a slash at its end."""
-    if not isinstance(uri, str) or len(uri) > 1024:
-        return False
-    try:
-        parts = urlsplit(uri)
-        return parts.scheme == "http" and bool(parts.hostname) and bool(parts.port)
-    except ValueError:
-        return False
+    """Return whether this is the URI of a node's or the master's interface."""
+    return place_of(uri) is not None
 
 
 def read_address(environment: Mapping[str, str]) -> Address:
@@ -169,13 +173,9 @@ class Master:
     def service_place(self, service: str) -> tuple[str, int]:
         """Return host and port of a service's server. Raises RefusedError: There is none."""
         uri = self.call("lookupService", service)
-        try:
-            parts = urlsplit(str(uri))
-            if parts.scheme == "rosrpc" and parts.hostname and parts.port:
-                return parts.hostname, parts.port
-        except ValueError:
-            pass
-        raise UnreachableError(f"its answer is none of ROS: {str(uri)[:200]}")
+        if (place := place_of(uri, "rosrpc")) is None:
+            raise UnreachableError(f"its answer is none of ROS: {str(uri)[:200]}")
+        return place
 
     def node_uri(self, node: str) -> str:
         """Return a node's URI; empty if the master does not know it."""
