@@ -118,7 +118,7 @@ def bridge(
             while b"carries" not in log.read_bytes():
                 if process.poll() is not None:
                     raise RuntimeError(log.read_text())
-                time.sleep(0.05)
+                time.sleep(0.01)
             yield process
         finally:
             process.terminate()

@@ -126,7 +126,7 @@ class Layout:
 
     def view(self, buffer: Buffer) -> RecordView:
         """Return a view that reads from ``buffer`` at each access; LAY006: it is smaller than a record."""
-        return self._reader(self._bytes(buffer), 0)
+        return self._reader.view(self._bytes(buffer), 0)
 
     def to_dict(self, buffer: Buffer) -> dict[str, Any]:
         """Return a record as nested dicts and lists, with the fields in their order."""
@@ -142,7 +142,7 @@ class Layout:
         data, reader = self._bytes(buffer), self._excerpts.get(elements)
         if reader is None:
             reader = self._excerpts[elements] = StructReader(self.root, elements)
-        result: dict[str, Any] = plain(reader(data, 0))
+        result: dict[str, Any] = plain(reader.view(data, 0))
         return result
 
     @cached_property

@@ -159,9 +159,18 @@ class StructPacker:
             if member.name in defaults:
                 pack(image, member.offset, defaults[member.name])
         self.initial = bytes(image)
+        self._together = _together(node)
 
     def __call__(self, buffer: bytearray, offset: int, value: Any) -> None:
         """Write ``value``'s fields; those that it lacks keep what ``buffer`` has. Raises Misfit."""
+        if self._together is not None and type(value) is dict and len(value) == len(self._fields):
+            pick, pack_into = self._together
+            try:
+                pack_into(buffer, offset, *pick(value))
+            except (KeyError, TypeError, ValueError, OverflowError, struct.error):
+                pass  # some value needs conversion, or does not fit: find out which
+            else:
+                return
         for name, item in value.items() if isinstance(value, Mapping) else self._attributes(value):
             if (known := self._fields.get(name)) is None:
                 raise Misfit(f"{self._type_name} has no field {name!r}")
@@ -194,6 +203,20 @@ class StructPacker:
         return _MISSING
 
 
+def _together(node: StructNode) -> tuple[Callable[[Any], tuple[Any, ...]], Callable[..., None]] | None:
+    """Return how to write a struct of two or more numbers at once, None for another."""
+    code, names = "<", []
+    for member in node.members:
+        if isinstance(member.node, PaddingNode):
+            code += f"{member.node.size}x"
+        elif isinstance(member.node, ScalarNode) and member.node.kind != "bool" and member.count_of is None:
+            code += FORMATS[member.node.kind]
+            names.append(member.name)
+        else:
+            return None
+    return (operator.itemgetter(*names), struct.Struct(code).pack_into) if len(names) > 1 else None
+
+
 def _packer(node: Node, count: int, store: TypeStore) -> tuple[Pack, bytes]:
     """Return how to write a member, and its initial bytes but for its own default value.
 
@@ -218,6 +241,8 @@ def _packer(node: Node, count: int, store: TypeStore) -> tuple[Pack, bytes]:
 
 
 def _string(capacity: int) -> Pack:
+    put = struct.Struct(f"{capacity + 1}s").pack_into  # what is left is zero
+
     def pack(buffer: bytearray, offset: int, value: Any) -> None:
         if isinstance(value, str):
             try:
@@ -232,7 +257,7 @@ def _string(capacity: int) -> Pack:
             raise Misfit("a string cannot hold a NUL")
         if len(data) > capacity:
             raise Misfit(f"the string has {len(data)} bytes, its limit is {capacity}")
-        buffer[offset : offset + capacity + 1] = data.ljust(capacity + 1, b"\0")
+        put(buffer, offset, data)
 
     return pack
 

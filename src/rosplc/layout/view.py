@@ -5,7 +5,7 @@ from __future__ import annotations
 import keyword
 import struct
 from collections.abc import Callable, Iterable
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, ClassVar, NoReturn, TypeAlias
 
 from rosplc.layout import nodes
 from rosplc.model.types import FORMATS
@@ -28,17 +28,17 @@ class StructReader:
 
     def __init__(self, node: nodes.StructNode, most: int | None = None) -> None:
         self.type_name = node.type_name
-        self.fields: dict[str, tuple[int, _Read]] = {
-            member.name: (member.offset, _reader(member, node, most))
+        self.fields = {
+            member.name: property(_getter(member, node, most))
             for member in node.members
             if not isinstance(member.node, nodes.PaddingNode) and member.count_of is None
         }
         # A field may be a Python keyword: it can be had with an underscore, as rosbags does.
         self.aliases = {f"{name}_": name for name in self.fields if keyword.iskeyword(name)}
-
-    def __call__(self, buffer: memoryview, offset: int) -> RecordView:
-        """Return a view of the struct at ``offset``."""
-        return RecordView(self, buffer, offset)
+        # A class per struct: Python finds a property much faster than it calls __getattr__.
+        self.view: type[RecordView] = type(
+            "RecordView", (RecordView,), {"__slots__": (), "_reader": self, **self.fields}
+        )
 
 
 class RecordView:
@@ -52,41 +52,33 @@ class RecordView:
     string ends at its NUL or its capacity. Two views are equal if all their fields are.
     """
 
-    __slots__ = ("_buffer", "_offset", "_reader")
+    __slots__ = ("_buffer", "_offset")
 
-    _reader: StructReader
+    _reader: ClassVar[StructReader]
     _buffer: memoryview
     _offset: int
 
-    def __init__(self, reader: StructReader, buffer: memoryview, offset: int) -> None:
-        put = object.__setattr__
-        put(self, "_reader", reader)
-        put(self, "_buffer", buffer)
-        put(self, "_offset", offset)
+    def __init__(self, buffer: memoryview, offset: int) -> None:
+        _put_buffer(self, buffer)
+        _put_offset(self, offset)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):  # no field does; asking the reader would recurse while copying
+        if name.startswith("_"):  # no field does
             raise AttributeError(f"a record has no {name!r}", name=name, obj=self)
-        reader = self._reader
-        found = reader.fields.get(name)
-        if found is None:
-            original = reader.aliases.get(name)
-            if original is None:
-                raise AttributeError(f"{reader.type_name} has no field {name!r}", name=name, obj=self)
-            found = reader.fields[original]
-        start, read = found
-        return read(self._buffer, self._offset + start)
+        if (original := self._reader.aliases.get(name)) is None:
+            raise AttributeError(f"{self._reader.type_name} has no field {name!r}", name=name, obj=self)
+        return getattr(self, original)
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError("records are read through views and written by packing a new one")
 
     def __copy__(self) -> RecordView:
         """Return another view of the same bytes."""
-        return RecordView(self._reader, self._buffer, self._offset)
+        return type(self)(self._buffer, self._offset)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> RecordView:
         """Return a view of a copy of the bytes, which stays as it is."""
-        return RecordView(self._reader, memoryview(bytes(self._buffer)), self._offset)
+        return type(self)(memoryview(bytes(self._buffer)), self._offset)
 
     def __dir__(self) -> list[str]:
         return [*self._reader.fields, *self._reader.aliases]
@@ -107,6 +99,20 @@ class RecordView:
         short = self._reader.type_name.rsplit("/", 1)[1]
         fields = ", ".join(f"{name}={_show(getattr(self, name))}" for name in self._reader.fields)
         return f"{short}({fields})"
+
+
+# As object.__setattr__, without a search for the name.
+_put_buffer: Any = RecordView.__dict__["_buffer"].__set__
+_put_offset: Any = RecordView.__dict__["_offset"].__set__
+
+
+def _getter(member: nodes.Member, parent: nodes.StructNode, most: int | None) -> Callable[[RecordView], Any]:
+    node, start = member.node, member.offset
+    if isinstance(node, nodes.ScalarNode) and node.kind != "bool":
+        get = struct.Struct("<" + FORMATS[node.kind]).unpack_from
+        return lambda view: get(view._buffer, view._offset + start)[0]
+    read = _reader(member, parent, most)
+    return lambda view: read(view._buffer, view._offset + start)
 
 
 def plain(value: Any) -> Any:
@@ -140,7 +146,7 @@ def _reader(member: nodes.Member, parent: nodes.StructNode, most: int | None) ->
 
 def _single(node: nodes.Node, most: int | None) -> _Read:
     if isinstance(node, nodes.StructNode):
-        return StructReader(node, most)
+        return StructReader(node, most).view
     if isinstance(node, nodes.StringNode):
         return _string(node.capacity)
     assert isinstance(node, nodes.ScalarNode)
@@ -151,9 +157,11 @@ def _single(node: nodes.Node, most: int | None) -> _Read:
 
 
 def _string(capacity: int) -> _Read:
+    get = struct.Struct(f"{capacity}s").unpack_from
+
     def read(buffer: memoryview, offset: int) -> str:
-        data = bytes(buffer[offset : offset + capacity])
-        return data.split(b"\0", 1)[0].decode("utf-8", "surrogateescape")
+        data: bytes = get(buffer, offset)[0].split(b"\0", 1)[0]
+        return data.decode("utf-8", "surrogateescape")
 
     return read
 
@@ -165,7 +173,7 @@ def _elements(
         code = FORMATS[node.kind]
 
         def read(buffer: memoryview, offset: int, size: int) -> list[Any]:
-            return list(struct.unpack_from(f"<{size}{code}", buffer, offset))
+            return [*struct.unpack_from(f"<{size}{code}", buffer, offset)]
     else:
         single, stride = _single(node, most), node.size
 

@@ -139,6 +139,25 @@ def test_the_benchmark_beside_a_node_in_c() -> None:
     assert report["tables"][0]["facts"] == {"lost, C node": 0, "lost, bridge": 0}
 
 
+def test_the_benchmark_of_start_and_memory() -> None:
+    """The first message arrives, and memory is read beside that of a participant."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    from benchmarks import bench_start
+
+    ((_, table),) = rows(bench_start.run(1, (2, 100, 0.5))).items()
+    assert table["start to first message, s"]["median"] > 0
+    assert table["bridge, MB of memory (PSS)"]["ratio"] > 1
+
+
+def test_the_benchmark_of_messages_with_fields() -> None:
+    """Both ways come to the same values, for each type."""
+    from benchmarks import bench_typed
+
+    found = rows(bench_typed.run(1, 10))
+    assert set(found) == {"geometry_msgs/msg/Twist", "sensor_msgs/msg/JointState"}
+    assert all(set(table) == {"raw", "typed"} for table in found.values())
+
+
 @pytest.mark.serial
 @pytest.mark.verify(minutes=2)
 def test_the_benchmark_of_all_backends() -> None:
