@@ -162,10 +162,11 @@ def access(settings: Settings) -> Middleware:
     return guard
 
 
-async def add_headers(_request: web.Request, response: web.StreamResponse) -> None:
+async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
     """Put the headers on every answer, an upgrade to a WebSocket and an error of the parser included."""
     response.headers.update(SECURITY_HEADERS)
-    response.headers.setdefault("Cache-Control", "no-store")
+    # A file is asked for each time, and sent again only after an update: no browser shows an old page.
+    response.headers["Cache-Control"] = "no-store" if request.path.startswith("/api/") else "no-cache"
     response.headers["Server"] = "rosplc"
 
 

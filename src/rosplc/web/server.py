@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 import json
 import logging
 import signal
@@ -12,7 +11,7 @@ import socket
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from aiohttp import web
@@ -29,34 +28,7 @@ from rosplc.web.access import Settings, access, add_headers, bearer, require_tok
 from rosplc.web.live import Feed, Viewers
 from rosplc.web.write import form_of, write_message
 
-_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-
-
-class PageFiles:
-    """Every file under ``static``, by name, with a tag that changes with its contents."""
-
-    def __init__(self) -> None:
-        folder = resources.files("rosplc.web") / "static"
-        self._files: dict[str, tuple[bytes, str, str]] = {}
-        for file in folder.iterdir():
-            kind = _TYPES.get(file.name.rpartition(".")[2])
-            if kind is not None:
-                content = file.read_bytes()
-                self._files[file.name] = (content, kind, hashlib.sha256(content).hexdigest()[:20])
-
-    async def answer(self, request: web.Request) -> web.Response:
-        """Answer with the page, or one of its files. Raises HTTPNotFound."""
-        name = request.match_info.get("name", "index.html")
-        if name not in self._files:
-            raise web.HTTPNotFound
-        content, kind, tag = self._files[name]
-        # Asked for each time, sent again only after an update: no browser shows an old page.
-        headers = {"Cache-Control": "no-cache", "ETag": f'"{tag}"'}
-        if f'"{tag}"' in request.headers.get("If-None-Match", ""):
-            return web.Response(status=304, headers=headers)
-        return web.Response(body=content, content_type=kind, charset="utf-8", headers=headers)
-
-
+_STATIC = Path(__file__).parent / "static"
 _log = logging.getLogger("rosplc.web")
 _LARGEST_BYTES = 4 * 1024 * 1024
 BODY_SECONDS = 10.0  # how long a request's body may take
@@ -87,7 +59,9 @@ def make_application(settings: Settings, watch: Watch, machine: str) -> web.Appl
         with contextlib.suppress(asyncio.CancelledError):
             await task
 
-    files = PageFiles()
+    async def page(_request: web.Request) -> web.FileResponse:
+        return web.FileResponse(_STATIC / "index.html")
+
     application = web.Application(middlewares=[arrival, access(settings)], client_max_size=_LARGEST_BYTES)
     application[ARRIVED] = []
     application.cleanup_ctx.append(looking)
@@ -95,8 +69,8 @@ def make_application(settings: Settings, watch: Watch, machine: str) -> web.Appl
     application.on_response_prepare.append(add_headers)
     application.add_routes(
         [
-            web.get("/", files.answer),
-            web.get("/static/{name}", files.answer),
+            web.get("/", page),
+            web.static("/static", _STATIC),
             web.get("/api/live", viewers.handle),
             web.get("/api/status", api.status),
             web.get("/api/form", api.form),
