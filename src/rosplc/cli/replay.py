@@ -124,7 +124,7 @@ def command(
         if not quiet:
             for text in target.notes:
                 warn(text)
-        _play(file, source, target, topics, options, patience, quiet=quiet, as_json=as_json)
+        _play(file, Player(source, target, topics, options), patience, quiet=quiet, as_json=as_json)
     finally:
         source.close()
 
@@ -190,18 +190,8 @@ def _target(
     return PlcTarget(topics, own, project=project, distro=distro)
 
 
-def _play(
-    file: Path,
-    source: Source,
-    target: Target,
-    topics: dict[str, SourceTopic],
-    options: ReplayOptions,
-    patience: float,
-    *,
-    quiet: bool,
-    as_json: bool,
-) -> None:
-    player = Player(source, target, topics, options)
+def _play(file: Path, player: Player, patience: float, *, quiet: bool, as_json: bool) -> None:
+    source, target, options = player.source, player.target, player.options
     line = ProgressLine(quiet=quiet)
     length = (source.end_ns - source.start_ns) / 1e9
 
@@ -229,11 +219,11 @@ def _play(
                 line.clear()
     finally:
         target.close()
-    _report(player, target, as_json=as_json)
+    _report(player, as_json=as_json)
 
 
-def _report(player: Player, target: Target, *, as_json: bool) -> None:
-    counts = target.counts
+def _report(player: Player, *, as_json: bool) -> None:
+    counts = player.target.counts
     sent = sum(count.sent for count in counts.values())
     if as_json:
         keys = ("sent", "refused", "lost", "reason")

@@ -83,15 +83,11 @@ class Seen:
 
 @dataclass(frozen=True)
 class Objects:
-    """What was found under all prefixes: objects by path, and the paths of lock files and temporaries.
-
-    ``locks_seen``: the kernel's list of locks could be read.
-    """
+    """What was found under all prefixes: objects by path, and the paths of lock files and temporaries."""
 
     objects: tuple[Seen, ...] = ()
     locks: frozenset[Path] = frozenset()
     temporaries: tuple[Path, ...] = ()
-    locks_seen: bool = True
 
     def of(self, namespace: Namespace, topic: str, part: Part = Part.TOPIC, client: str = "") -> Seen | None:
         """Return the object of a topic, or of a part of a service or action; None if there is none."""
@@ -232,7 +228,7 @@ def look_at_objects(
         for each in watched:
             os.close(each.fd)
     objects = tuple(sorted(done, key=lambda seen: seen.path))
-    return Objects(objects, frozenset(locks), tuple(temporaries), held is not None)
+    return Objects(objects, frozenset(locks), tuple(temporaries))
 
 
 def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched: list[_Watched]) -> None:

@@ -41,26 +41,17 @@ class State(enum.Enum):
     @property
     def level(self) -> Level:
         """The level that ``/diagnostics`` gives it."""
-        return _LEVELS.get(self, Level.OK)
+        return _LEVELS.get(self, Level.WARN)
 
 
 _SEVERITY = {state: number for number, state in enumerate(reversed(State))}
 _LEVELS = {
-    State.UNREADABLE: Level.ERROR,
-    State.MISSING: Level.ERROR,
-    State.DEAD: Level.ERROR,
-    State.NO_BRIDGE: Level.WARN,
-    State.REFUSED: Level.WARN,
-    State.LOST: Level.WARN,
-    State.STALE: Level.STALE,
-    State.SILENT: Level.STALE,
-    State.NO_PLC: Level.WARN,
-    State.NO_SERVER: Level.WARN,
+    **dict.fromkeys((State.UNREADABLE, State.MISSING, State.DEAD), Level.ERROR),
+    **dict.fromkeys((State.STALE, State.SILENT), Level.STALE),
+    **dict.fromkeys((State.OK, State.UNKNOWN), Level.OK),
 }
-
-ASKS = ("request", "goal")  # the parts of services and actions that the caller writes
-
 ALL_WELL = (State.OK, State.UNKNOWN)  # the states in which nothing is wrong
+ASKS = ("request", "goal")  # the parts of services and actions that the caller writes
 
 
 @dataclass(frozen=True, slots=True)

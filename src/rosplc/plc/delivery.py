@@ -14,7 +14,6 @@ import hashlib
 import json
 from dataclasses import dataclass
 from importlib.resources import files
-from importlib.resources import files as package_files
 from pathlib import Path
 
 from rosplc.errors import GenerationError
@@ -41,9 +40,8 @@ _KINDS = {Dut: "DUT", Enumeration: "ENUM", Gvl: "GVL"}
 
 def import_script(project: PlcProject) -> str:
     """Return the script's text; the same project always gives the same text."""
-    program = files("rosplc.plc").joinpath("templates/import_script.py.txt").read_text(encoding="ascii")
     lines = [
-        program,
+        _template("import_script.py.txt"),
         f"PROGRAMS = ({_text(f'{project.programs}_Read')}, {_text(f'{project.programs}_Write')})",
         f"LIBRARIES = [{', '.join(_text(name) for name in project.libraries)}]",
         "NOTES = [",
@@ -160,7 +158,7 @@ def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict
 
 
 def _template(name: str) -> str:
-    return package_files("rosplc.plc").joinpath(f"templates/{name}").read_text(encoding="ascii")
+    return files("rosplc.plc").joinpath(f"templates/{name}").read_text(encoding="ascii")
 
 
 def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -> Delivery:

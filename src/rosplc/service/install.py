@@ -251,15 +251,10 @@ def uninstall_steps(name: str, root: Path) -> list[Step]:
     return steps
 
 
-def instances(root: Path) -> list[str]:
-    """Return the names of the bridges that are installed as services, sorted."""
-    found = _at(root, _UNIT.parent).glob(f"rosplc@*.service.d/{_DROP_IN}")
-    return sorted(path.parent.name.removeprefix("rosplc@").removesuffix(".service.d") for path in found)
-
-
 def _installed(root: Path, name: str | None) -> list[str]:
-    """Return the names of the installed bridges; SYS011 if this one is not among them."""
-    names = instances(root)
+    """Return the names of the installed bridges, sorted; SYS011 if this one is not among them."""
+    found = _at(root, _UNIT.parent).glob(f"rosplc@*.service.d/{_DROP_IN}")
+    names = sorted(path.parent.name.removeprefix("rosplc@").removesuffix(".service.d") for path in found)
     if name is not None and name not in names:
         there = f"; there are: {', '.join(names)}" if names else ""
         what, where = f"no service rosplc@{name} is installed{there}", str(_at(root, _drop_in_file(name)))

@@ -7,7 +7,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from rich.text import Text
 from textual.app import App, ComposeResult, ScreenStackError
@@ -41,9 +41,6 @@ from rosplc.monitor.picture import (
 )
 from rosplc.monitor.terminal.table import LEVEL_STYLES, ChannelTable, Sorting, plain, state_cell
 from rosplc.monitor.watch import Watch
-
-if TYPE_CHECKING:
-    from rosplc.monitor.watch import Watch
 
 _LOOKS = 600
 _FIELDS = 2000
