@@ -164,47 +164,44 @@ def type_hash_in(user_data: bytes) -> str:
 # -- a dds_qos_t of the library
 
 
-def _getter(name: str, *results: Any) -> Any:
-    call = native.function(
-        f"dds_qget_{name}", ct.c_void_p, *(ct.POINTER(result) for result in results), result=ct.c_bool
-    )
+def _getter(name: str, *kinds: Any, default: tuple[Any, ...]) -> Any:
+    """Return what reads the values of one setting; they are ``default`` where it is not set."""
+    call = native.function(f"dds_qget_{name}", ct.c_void_p, *map(ct.POINTER, kinds), result=ct.c_bool)
 
-    def get(qos: int) -> tuple[Any, ...] | None:
-        values = tuple(result() for result in results)
-        return values if call(qos, *(ct.byref(value) for value in values)) else None
+    def get(qos: int) -> tuple[Any, ...]:
+        values = [kind() for kind in kinds]
+        known = call(qos, *map(ct.byref, values))
+        return tuple(getattr(value, "value", value) for value in values) if known else default
 
     return get
 
 
 _free = native.function("dds_free", ct.c_void_p, result=None)
-_reliability = _getter("reliability", ct.c_int, ct.c_int64)
-_durability = _getter("durability", ct.c_int)
-_deadline = _getter("deadline", ct.c_int64)
-_liveliness = _getter("liveliness", ct.c_int, ct.c_int64)
-_ownership = _getter("ownership", ct.c_int)
-_partition = _getter("partition", ct.c_uint32, ct.POINTER(ct.c_void_p))
-_representation = _getter("data_representation", ct.c_uint32, ct.POINTER(ct.c_int16))
-_userdata = _getter("userdata", ct.c_void_p, ct.c_size_t)
+_reliability = _getter("reliability", ct.c_int, ct.c_int64, default=(None, 0))
+_durability = _getter("durability", ct.c_int, default=(_VOLATILE,))
+_deadline = _getter("deadline", ct.c_int64, default=(_INFINITE,))
+_liveliness = _getter("liveliness", ct.c_int, ct.c_int64, default=(_AUTOMATIC, _INFINITE))
+_ownership = _getter("ownership", ct.c_int, default=(None,))
+_partition = _getter("partition", ct.c_uint32, ct.POINTER(ct.c_void_p), default=(0, None))
+_representation = _getter("data_representation", ct.c_uint32, ct.POINTER(ct.c_int16), default=(0, None))
+_userdata = _getter("userdata", ct.c_void_p, ct.c_size_t, default=(None, 0))
 
 
 def _announced(pointer: int, writer: bool) -> tuple[Qos, str, tuple[str, ...], str]:
     """Return settings, type hash, what else keeps a plain ROS endpoint from matching, and a service's id."""
+    reliability, _ = _reliability(pointer)
     # Best effort is DDS's default of readers, reliable that of writers.
-    reliable = _number(_reliability(pointer), _RELIABLE if writer else 0) == _RELIABLE
+    reliable = writer if reliability is None else reliability == _RELIABLE
     qos = Qos(
         "reliable" if reliable else "best_effort",
-        "volatile" if _number(_durability(pointer)) == _VOLATILE else "transient_local",
+        "volatile" if _durability(pointer)[0] == _VOLATILE else "transient_local",
         1,
-        deadline_ns=_time(_number(_deadline(pointer), _INFINITE)),
-        lease_ns=_time(_number(_liveliness(pointer), _INFINITE, 1)),
+        deadline_ns=_time(_deadline(pointer)[0]),
+        lease_ns=_time(_liveliness(pointer)[1]),
     )
     user_data = _user_data(pointer)
     service_id = found.group(1).decode(errors="replace") if (found := _SERVICE_ID.search(user_data)) else ""
     return qos, type_hash_in(user_data), tuple(_obstacles(pointer, writer)), service_id
-
-
-def _number(values: tuple[Any, ...] | None, default: int = 0, which: int = 0) -> int:
-    return default if values is None else int(values[which].value)
 
 
 def _time(ns: int) -> int:
@@ -213,26 +210,21 @@ def _time(ns: int) -> int:
 
 
 def _user_data(pointer: int) -> bytes:
-    values = _userdata(pointer)
-    if values is None or not values[0].value:
-        return b""
-    try:
-        return ct.string_at(values[0].value, values[1].value)
-    finally:
-        _free(values[0])
+    address, size = _userdata(pointer)
+    found = ct.string_at(address, size) if address else b""
+    _free(address)
+    return found
 
 
-def _items(values: tuple[Any, ...] | None) -> list[Any]:
+def _items(count: int, array: Any) -> list[Any]:
     """Return an array that the library has allocated, and free it."""
-    if values is None or not values[0].value:
-        return []
-    found = [values[1][number] for number in range(values[0].value)]
-    _free(values[1])
+    found = array[:count] if count else []
+    _free(array)
     return found
 
 
 def _partitions(pointer: int) -> list[str]:
-    names = _items(_partition(pointer))
+    names = _items(*_partition(pointer))
     found = [ct.string_at(name).decode(errors="replace") for name in names]
     for name in names:
         _free(name)
@@ -240,18 +232,18 @@ def _partitions(pointer: int) -> list[str]:
 
 
 def _obstacles(pointer: int, writer: bool) -> Iterator[str]:
-    representations = _items(_representation(pointer))
+    representations = _items(*_representation(pointer))
     # A writer uses the first that it names; a reader takes any that it names.
     if representations and _XCDR1 not in (representations[:1] if writer else representations):
         yield "it uses another data representation than XCDR version 1, which ROS uses"
     partitions = _partitions(pointer)
     if partitions and "" not in partitions and "*" not in partitions:
         yield f"it is in the DDS partition {', '.join(partitions)}"
-    if _number(_ownership(pointer)) == _EXCLUSIVE:
+    if _ownership(pointer)[0] == _EXCLUSIVE:
         yield "it has exclusive ownership"
-    if not writer and _number(_durability(pointer)) > _TRANSIENT_LOCAL:
+    if not writer and _durability(pointer)[0] > _TRANSIENT_LOCAL:
         yield "it wants transient or persistent durability, which ROS does not have"
-    if not writer and _number(_liveliness(pointer)) != _AUTOMATIC:
+    if not writer and _liveliness(pointer)[0] != _AUTOMATIC:
         yield "it wants manual liveliness"
 
 
