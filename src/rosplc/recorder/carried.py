@@ -28,7 +28,8 @@ from rosplc.reasons import Reason
 from rosplc.recorder.mcap_file import ChannelInfo
 from rosplc.recorder.store import qos_text
 from rosplc.ros import DEFAULT, LATCHED, GoalStatus, Qos
-from rosplc.ros.actions import STATUS_QOS, CancelCode
+from rosplc.ros.actions import STATUS_QOS
+from rosplc.ros.goals import CancelCode
 from rosplc.shm import constants as spec
 from rosplc.shm.attach import belong_together
 

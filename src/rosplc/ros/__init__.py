@@ -8,7 +8,7 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros.actionlib import ActionlibClient, ActionlibServer
-from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent, GoalStatus
+from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent
 from rosplc.ros.arguments import Remapping, RosArguments, split_arguments
 from rosplc.ros.backend import (
     DEFAULT,
@@ -37,6 +37,7 @@ from rosplc.ros.backend import (
     settled_graph,
 )
 from rosplc.ros.choice import BACKENDS, INSTALL, ROS1, Choice, choose, load
+from rosplc.ros.goals import GoalStatus
 
 __all__ = [
     "BACKENDS", "DEFAULT", "INSTALL", "LATCHED", "PRESETS", "ROS1", "SENSOR_DATA", "SERVICES",

@@ -25,8 +25,9 @@ from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import actions, fields
 from rosplc.ros._base import NO_SERVER
-from rosplc.ros.actions import ActionClient, ActionServer, Goal, GoalInfo, GoalStatus
+from rosplc.ros.actions import ActionClient, ActionServer, Goal
 from rosplc.ros.backend import Backend, Publisher, Qos, Reply
+from rosplc.ros.goals import GoalInfo, GoalStatus
 
 LONGEST_ID = 1024  # bytes of a goal's text
 _PATIENCE_NS = 10_000_000_000  # for a goal that the server does not list, or a result that does not come

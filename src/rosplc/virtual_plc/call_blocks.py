@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout
 from rosplc.reasons import Reason
-from rosplc.ros.actions import GoalStatus
+from rosplc.ros.goals import GoalStatus
 from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Reader, ReaderClaim, SlotInfo, Writer
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber

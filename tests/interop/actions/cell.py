@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.reasons import Reason
-from rosplc.ros.actions import GoalStatus
+from rosplc.ros.goals import GoalStatus
 from rosplc.shm import GoalNotes, Namespace, Part, attach
 from rosplc.shm.constants import ErrorNumber
 from rosplc.virtual_plc import ActionClient, ActionServer

@@ -16,7 +16,8 @@ import pytest
 
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, open_backend
-from rosplc.ros.actions import STEPS, ActionClient, ActionServer, GoalEvent, GoalStatus, GoalStep
+from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent
+from rosplc.ros.goals import STEPS, GoalStatus, GoalStep
 from tests.interop.actions.cell import FIBONACCI, Peer
 from tests.interop.graphs import LOCAL
 from tests.lib.waiting import wait_for

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.reasons import Reason
-from rosplc.ros.actions import GoalStatus
+from rosplc.ros.goals import GoalStatus
 from rosplc.shm import Namespace
 from rosplc.shm.constants import ErrorNumber
 from tests.interop.actions.cell import Cell, StartPeer, the_plc_carries_goals_out, the_plc_sends_goals

@@ -14,13 +14,13 @@ from rosplc.codec import Codec, Wire
 from rosplc.config import parse_config
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.ros import Publisher, Qos, actions
+from rosplc.ros import Publisher, Qos, goals
 from rosplc.ros.memory import MemoryBackend, open_backend
 from rosplc.shm import Attached, Namespace, Reader, Writer, attach
 
 DOMAIN = 41
 STORE = TypeStore.bundled("jazzy")
-MESSAGES = actions.Messages(STORE, "example_interfaces/action/Fibonacci")
+MESSAGES = goals.Messages(STORE, "example_interfaces/action/Fibonacci")
 WATCHDOG_S = 100.0
 STRING = "std_msgs/msg/String"
 INT = "std_msgs/msg/Int32"

@@ -12,8 +12,9 @@ from rosplc.bridge import Bridge
 from rosplc.bridge.diagnostics import diagnostic_statuses
 from rosplc.bridge.managed import ManagedBridge
 from rosplc.config import parse_config as parse
-from rosplc.ros.actions import STATUS_QOS, ActionClient, GoalEvent, GoalStatus
+from rosplc.ros.actions import STATUS_QOS, ActionClient, GoalEvent
 from rosplc.ros.actions import ActionServer as RosServer
+from rosplc.ros.goals import GoalStatus
 from rosplc.ros.memory import open_backend
 from rosplc.shm import Namespace
 from rosplc.virtual_plc import ActionClient as VirtualClient

@@ -20,8 +20,8 @@ from rosplc.errors import BackendError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
-from rosplc.ros import SERVICES, ActionServer, GoalStatus, Qos, Reply, actions
-from rosplc.ros import actions as wire
+from rosplc.ros import SERVICES, ActionServer, GoalStatus, Qos, Reply, actions, goals
+from rosplc.ros import goals as wire
 from rosplc.ros.memory import MemoryBackend, open_backend
 from rosplc.shm import ACTION, Caller, Namespace, Part, attach
 from rosplc.shm.constants import (
@@ -642,7 +642,7 @@ def test_a_refusal_that_is_older_than_the_status(make: Make) -> None:
     assert plc.withdraw()
     cell.bridge()
     assert ended(cell) == (ANSWER_FATE_UNKNOWN, Reason.CALLER_GONE)
-    unknown = Reply(MESSAGES.pack_canceling(actions.CancelCode.UNKNOWN_GOAL_ID, []))
+    unknown = Reply(MESSAGES.pack_canceling(goals.CancelCode.UNKNOWN_GOAL_ID, []))
     cell.use.tell(actions.GoalEvent(uuid, "status", status=GoalStatus.EXECUTING))
     cell.use.tell(actions.GoalEvent(uuid, "not canceled", reply=unknown))
     server.begin(uuid)

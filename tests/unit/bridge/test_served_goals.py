@@ -16,9 +16,9 @@ from rosplc.bridge.status import ActionStatus
 from rosplc.config import parse_config, resolve
 from rosplc.errors import BackendError, ChannelError
 from rosplc.reasons import Reason
-from rosplc.ros import EndpointStatus, actions
+from rosplc.ros import EndpointStatus, actions, goals
 from rosplc.ros.actionlib import uuid_of
-from rosplc.ros.actions import CancelCode, GoalStatus
+from rosplc.ros.goals import CancelCode, GoalStatus
 from rosplc.shm import ACTION, Answerer, Namespace, Part, SlotInfo, attach
 from rosplc.shm.constants import (
     ANSWER_ABORTED,
@@ -98,13 +98,13 @@ class Ros:
 
     def send(self, uuid: bytes, order: int = 5) -> None:
         goal = b"\0\1\0\0" + order.to_bytes(4, "little")
-        self.ends["send_goal"].on_request(actions.wrap(uuid, goal), uuid, 0)
+        self.ends["send_goal"].on_request(goals.wrap(uuid, goal), uuid, 0)
 
     def cancel(self, uuid: bytes) -> None:
         self.ends["cancel_goal"].on_request(MESSAGES.pack_cancel(uuid), uuid, 0)
 
     def ask_result(self, uuid: bytes) -> None:
-        self.ends["get_result"].on_request(actions.LITTLE + uuid, uuid, 0)
+        self.ends["get_result"].on_request(goals.LITTLE + uuid, uuid, 0)
 
     @property
     def decisions(self) -> list[tuple[bytes, bool]]:
@@ -129,7 +129,7 @@ class Ros:
 
     @property
     def feedback(self) -> list[tuple[bytes, int]]:
-        messages = map(actions.unwrap, self.ends["feedback"].said)
+        messages = map(goals.unwrap, self.ends["feedback"].said)
         return [(uuid, payload[8]) for uuid, payload in messages]
 
 
@@ -401,7 +401,7 @@ def test_without_a_plc_no_goal_waits(make: Make) -> None:
 def test_a_goal_that_does_not_fit_is_rejected(make: Make) -> None:
     cell = make()
     cell.attach()
-    cell.ros.ends["send_goal"].on_request(actions.wrap(A, b"\0\1\0\0"), A, 0)
+    cell.ros.ends["send_goal"].on_request(goals.wrap(A, b"\0\1\0\0"), A, 0)
     cell.turn()
     assert (cell.ros.decisions, cell.status.not_executed) == ([(A, REJECTED)], {"rejected": 1})
 

@@ -19,15 +19,9 @@ from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import SERVICES, Backend, Qos, actions, open_backend
-from rosplc.ros import actions as wire
-from rosplc.ros.actions import (
-    ActionClient,
-    ActionServer,
-    CancelCode,
-    GoalEvent,
-    GoalStatus,
-    GoalStep,
-)
+from rosplc.ros import goals as wire
+from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent
+from rosplc.ros.goals import CancelCode, GoalStatus, GoalStep
 from tests.interop.graphs import free_domain
 from tests.lib.waiting import wait_for
 
