@@ -31,13 +31,11 @@ _QOS = Qos(depth=1000)  # rmw's profiles for the services and the events of para
 _EVENT = "rcl_interfaces/msg/ParameterEvent"
 _MOST_DIGITS = 1e-9  # of a step, by which a double may miss it
 
-_PLAIN: dict[str, tuple[type, ...]] = {
-    "bool": (bool,), "integer": (int,), "double": (int, float), "string": (str,), "byte": (int,)
-}  # fmt: skip
-_LARGEST = {
-    "integer": (-(2**63), 2**63 - 1),
-    "double": (-sys.float_info.max, sys.float_info.max),  # neither infinite nor no number
-    "byte": (0, 255),
+_VALUES: dict[str, tuple[tuple[type, ...], float, float]] = {
+    "bool": ((bool,), False, True),
+    "integer": ((int,), -(2**63), 2**63 - 1),
+    "double": ((float, int), -sys.float_info.max, sys.float_info.max),  # neither infinite nor no number
+    "byte": ((int,), 0, 255),
 }
 
 Done = Callable[[str], None]
@@ -113,11 +111,8 @@ def converted(kind: str, value: Any) -> Any:
             raise ValueError(f"{value!r} is no {kind}")
         found = [converted(kind.removesuffix("_array"), each) for each in value]
         return bytes(found) if kind == "byte_array" else found
-    fits = isinstance(value, _PLAIN[kind]) and isinstance(value, bool) is (kind == "bool")
-    if fits and kind in _LARGEST:
-        least, greatest = _LARGEST[kind]
-        fits = least <= value <= greatest
-    if not fits:
+    types, least, greatest = _VALUES.get(kind, ((str,), "", value))
+    if type(value) not in types or not least <= value <= greatest:
         raise ValueError(f"{value!r} is no {kind}")
     return float(value) if kind == "double" else value
 

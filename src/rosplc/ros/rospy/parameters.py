@@ -37,7 +37,7 @@ class MasterParameters:
         self._shown: dict[str, Any] = {}  # by name, what the server was last seen to have
         self._asked: set[str] = set()  # names of what ``apply`` was asked for
         self._known = self._ours = False  # what holds; that what is set from now on is asked for
-        self._told = self._closed = False  # the master tells of sets; nothing is to be done any more
+        self._told = False  # the master tells of sets
         self._due_ns = 0
 
     def begin(self, names: Collection[str]) -> Mapping[str, Any]:
@@ -61,12 +61,12 @@ class MasterParameters:
 
     def close(self) -> None:
         """Look no more; what the server has stays."""
-        self._closed = True
+        self._node.parameters = None
 
     def look(self, master: Master) -> None:
         """Compare with the server, each second. Raises as :meth:`Master.call`."""
         now = self._node.clock.monotonic_ns()
-        if self._closed or now < self._due_ns:
+        if now < self._due_ns:
             return
         self._due_ns = now + _PERIOD_NS
         for each in self._global:
