@@ -136,11 +136,6 @@ class PortToPlc(ChannelPort[Writer]):
         self.sink.close()
         super().close()
 
-    def retire(self) -> None:
-        """Give the object up: its users are told, and its name is free."""
-        self.sink.close()
-        super().retire()
-
     def _claim(self, channel: OwnedChannel) -> Writer:
         writer = channel.writer(self._context.beat_ms)
         self.side.renewed()

@@ -17,7 +17,7 @@ from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import TopicPlan
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.layout import compute_layout
-from rosplc.ros import Backend, EndpointStatus, OnMessage, Publisher, Qos, Sink, Subscription
+from rosplc.ros import Backend, EndpointStatus, OnMessage, Publisher, Qos, Subscription
 from rosplc.shm import Direction
 from rosplc.shm.constants import FLAG_FIRST, STAMP_SYSTEM
 
@@ -31,6 +31,7 @@ class Stream(Notes, ABC):
     """One topic: its endpoint in ROS, its port, and what is between them; both tell it what happens."""
 
     substituting = False  # whether something else is passed on in the source's place
+    _unsent: hold.Unsent | None = None
 
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         super().__init__(plan, context)
@@ -38,7 +39,7 @@ class Stream(Notes, ABC):
         self.codec = Codec(plan.layout)
         self.counters = Counters()
         self._endpoint: Subscription | Publisher | None = None
-        self._sink: Sink | None = None  # what passes messages on without this
+        self._sink: Any = None  # what passes messages on without this
         self._now = context.clock.monotonic_ns
         now = self._now()
         # since when its source has been silent
@@ -147,18 +148,16 @@ class Stream(Notes, ABC):
 
     def _passed(self) -> int:
         """Return how many messages went past this, and note when the last did."""
-        if (sink := self._sink) is None:
+        if self._sink is None:
             return 0
-        self.silence.passed(sink.last_ns)
-        return sink.messages
+        self.silence.passed(self._sink.last_ns)
+        return int(self._sink.messages)
 
     def _open_sink(self, opens: Any) -> None:
         """Let the next messages go past this, where nothing looks at each of them."""
-        if self._sink is not None and self._plain():
+        holds = any(one is not self._unsent or one.due_ns is not None for one in self.hold.stages)
+        if self._sink is not None and not holds and not self.plan.print:
             opens.open_sink(self.plan.stale_after_ns)
-
-    def _plain(self) -> bool:
-        return not self.hold.stages and not self.plan.print
 
     def _came(self, now_ns: int) -> bool:
         """Count a message; return whether its source was stale before it."""
@@ -236,9 +235,8 @@ class ToPlc(Stream):
     def _connect(self, backend: Backend) -> None:
         plan = self.plan
         self._endpoint = backend.subscribe(plan.topic, plan.type_name, plan.qos, self.on_message)
-        divert: Callable[[Sink], bool] | None = getattr(self._endpoint, "divert", None)
-        if divert is not None and self.port.sink is not None and divert(self.port.sink):
-            self._sink = self.port.sink
+        divert, sink = getattr(self._endpoint, "divert", None), self.port.sink
+        self._sink = sink if divert is not None and sink is not None and divert(sink) else None
 
     def begin(self, now_ns: int) -> None:
         """The next message is marked as the first."""
@@ -419,10 +417,6 @@ class ToRos(Stream):
         except Exception as error:  # a backend's own mistake must not stop the other streams
             return f"{type(error).__name__}: {error}", ""
         return None if sent else ("a subscriber does not keep up", "")
-
-    def _plain(self) -> bool:
-        waits = self._unsent is not None and self._unsent.due_ns is not None
-        return not waits and not self.plan.print and all(one is self._unsent for one in self.hold.stages)
 
     def _give_up_unsent(self) -> None:
         """Count the message that waits for an active node as lost: something newer takes its place."""

@@ -29,7 +29,6 @@ from rosplc.ros.backend import (
     Reply,
     ServiceClient,
     ServiceServer,
-    Sink,
     Subscription,
     TypeSource,
     ended_for_good,
@@ -43,8 +42,7 @@ __all__ = [
     "BACKENDS", "DEFAULT", "INSTALL", "LATCHED", "PRESETS", "ROS1", "SENSOR_DATA", "SERVICES",
     "ActionClient", "ActionServer", "Backend", "Choice", "Endpoint", "EndpointInfo", "EndpointStatus",
     "GoalEvent", "GoalStatus", "GraphInfo", "OnMessage", "OnReply", "OnRequest", "Publisher", "Qos",
-    "Remapping", "Reply", "RosArguments", "ServiceClient", "ServiceServer", "Sink", "Subscription",
-    "TypeSource",
+    "Remapping", "Reply", "RosArguments", "ServiceClient", "ServiceServer", "Subscription", "TypeSource",
     "action_classes", "choose", "ended_for_good", "incompatibility", "open_backend", "settled_graph",
     "split_arguments",
 ]  # fmt: skip

@@ -171,7 +171,7 @@ class BaseEndpoint:
     peer_does: str  # what a node does that this endpoint exchanges messages with
     kind: str
     serves = False  # whether it belongs to a service
-    sink: backend.Sink | None = None  # what passes messages on without Python
+    sink: backend.Sink = None  # what passes messages on without Python
 
     def __init__(self, node: Any, topic: str, type_name: str, qos: backend.Qos, type_hash: str = "") -> None:
         self.topic, self.type_name, self.qos, self.type_hash = topic, type_name, qos, type_hash

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
@@ -162,29 +162,12 @@ class GraphInfo:
     services: tuple[EndpointInfo, ...] = ()
 
 
-class Sink(Protocol):
-    """What takes messages from C to C while it is open; one that it does not take closes it, and is Python's.
-
-    ``_core/sink.h`` describes the capsule. A message also closes it that comes after the silence that Python
-    is to know of. A backend that works in C has more than the protocols say: its subscriptions have a method
-    ``divert(sink)``, which gives a sink what it takes in place of ``on_message`` and returns whether it can,
-    its publishers an attribute ``sink`` (or None) and a method ``open_sink(limit_ns)``.
-    """
-
-    @property
-    def capsule(self) -> object:
-        """What another extension module puts messages into."""
-
-    @property
-    def messages(self) -> int:
-        """How many it has taken."""
-
-    @property
-    def last_ns(self) -> int:
-        """Monotonic time of the last one, or of its opening."""
-
-    def close(self) -> None:
-        """Take nothing any more."""
+# What takes messages from C to C while it is open, ``_core/sink.h``; one that it does not take, or that comes
+# after a silence that Python is to know of, closes it and is Python's. It has ``capsule``, ``messages``,
+# ``last_ns`` and ``close()``. A backend that works in C has more than the protocols say: subscriptions with a
+# method ``divert(sink)``, which gives a sink what it takes in place of ``on_message`` and returns whether it
+# can, publishers with an attribute ``sink`` (or None) and a method ``open_sink(limit_ns)``.
+Sink = Any
 
 
 class Endpoint(Protocol):

@@ -91,7 +91,7 @@ class DdsSubscription(BaseSubscription, Endpoint):
         self._node.route(self)
 
     def divert(self, sink: Sink) -> bool:
-        """Give the sink what comes; see :class:`rosplc.ros.backend.Sink`."""
+        """Give the sink what comes; see :data:`rosplc.ros.backend.Sink`."""
         self.sink = sink
         return bool(self._node.route(self))
 
@@ -150,7 +150,7 @@ class DdsPublisher(BasePublisher, Endpoint):
         self.sink = self._outlet
 
     def open_sink(self, limit_ns: int) -> None:
-        """Let messages pass; see :class:`rosplc.ros.backend.Sink`."""
+        """Let messages pass; see :data:`rosplc.ros.backend.Sink`."""
         if self._outlet is not None and not self.closed:
             self._outlet.open(self._large, limit_ns)
 
