@@ -20,12 +20,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks import measure
-from benchmarks.bench_bridge import LOAD, begin, load_config
-from benchmarks.peers import STRING, TYPE, names
+from benchmarks.bench_bridge import LOAD, MESSAGES, Contender, begin, latency_topics, load_config
+from benchmarks.peers import EVERY, STRING, TO_PLC, TO_ROS, TYPE, names
 from benchmarks.processes import RosGraph, bridge, cpu_seconds, environment, peers, ros_domain
 from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
@@ -75,21 +76,22 @@ def node(program: Path, prefix: str, domain: int, ins: list[str], outs: list[str
 
 
 @contextmanager
-def carrying(name: str, program: Path, prefix: str, domain: int, topics: int) -> Iterator[int]:
-    """Run a contender for so many topics each way; give its process id."""
+def carrying(
+    name: str, program: Path, prefix: str, domain: int, config: str, ins: list[str], outs: list[str]
+) -> Iterator[int]:
+    """Run a contender for topics each way, which are also those of the configuration; give its process id."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if name == "bridge":
-            text = load_config(prefix, topics, depth=4096)
-            yield stack.enter_context(bridge(Path(folder), text, domain)).pid
+            yield stack.enter_context(bridge(Path(folder), config, domain)).pid
         else:
-            ends = names("in", topics), names("out", topics)
-            yield stack.enter_context(node(program, prefix, domain, *ends))
+            yield stack.enter_context(node(program, prefix, domain, ins, outs))
 
 
 def loaded(name: str, program: Path, topics: int, rate: int, seconds: float) -> dict[str, float]:
     """Carry a load once; return the processor's time per message in µs, and what was lost."""
     prefix, count = f"bench-{secrets.token_hex(4)}", round(rate * seconds)
-    with ros_domain() as domain, carrying(name, program, prefix, domain, topics) as pid:
+    config, ends = load_config(prefix, topics, depth=4096), (names("in", topics), names("out", topics))
+    with ros_domain() as domain, carrying(name, program, prefix, domain, config, *ends) as pid:
         plan = {"topics": topics, "count": count, "rate": rate, "per_scan": 1, "qos_depth": DEPTH}
         plan |= {"prefix": prefix, **RosGraph(domain).plan()}
         with peers("plc ros", plan, domain) as (plc, ros):
@@ -106,6 +108,46 @@ def loaded(name: str, program: Path, topics: int, rate: int, seconds: float) -> 
     return {key: 1e6 * value / arrived for key, value in found.items()} | {"lost": lost}
 
 
+def ages(name: str, program: Path, rate: int, count: int) -> list[float]:
+    """Return how old messages were, in µs, when a PLC that spins saw them."""
+    prefix = f"bench-{secrets.token_hex(4)}"
+    head = [f"bridge: {prefix}", f"prefix: {prefix}", "ros: {backend: dds, distro: jazzy}"]
+    config = "\n".join([*head, "diagnostics: {enabled: false}", "topics:", *latency_topics(), ""])
+    with ros_domain() as domain:
+        graph = RosGraph(domain)
+        plan = {"prefix": prefix, **graph.plan()}
+        with (
+            carrying(name, program, prefix, domain, config, [TO_PLC, EVERY], [TO_ROS]) as pid,
+            peers("subscriber source", plan, domain) as (subscriber, source),
+        ):
+            pids = [pid, source.pid, subscriber.pid]
+            measured = Contender(name, graph, plan, pids, source, subscriber)
+            measured.ages("in", 100, 10)  # everything has run once before anything counts
+            return measured.ages("in", rate, count)["bridge"]
+
+
+def latencies(rounds: int, program: Path, messages: dict[int, int]) -> dict[str, Any]:
+    """Return the table of latency towards the PLC; the ratios are medians over rounds."""
+    rows = []
+    for rate, count in messages.items():
+        found = measure.turns({one: partial(_round, one, program, rate, count) for one in CONTENDERS}, rounds)
+        for one in CONTENDERS:
+            more = {}
+            if one == "bridge":
+                for part in ("median", "p99"):
+                    pairs = zip(found[f"bridge {part}"], found[f"C node {part}"], strict=True)
+                    more[f"ratio of {part}"] = statistics.median(mine / its for mine, its in pairs)
+            rows.append(measure.row(f"{one}, {rate} Hz", found[one], **more))
+    waiting = "both sleep in a waitset; the PLC spins on a core of its own"
+    return measure.table("ROS to PLC, PoseStamped of 200 B", "µs", waiting, rows)
+
+
+def _round(name: str, program: Path, rate: int, count: int) -> dict[str, list[float]]:
+    values = ages(name, program, rate, count)
+    p99 = measure.percentile(values, 99)
+    return {name: values, f"{name} median": [statistics.median(values)], f"{name} p99": [p99]}
+
+
 def interval(values: list[float]) -> tuple[float, float]:
     """Return the bootstrapped 95 % interval of the median."""
     draw = random.Random(1)
@@ -113,8 +155,16 @@ def interval(values: list[float]) -> tuple[float, float]:
     return medians[RESAMPLES // 40], medians[-RESAMPLES // 40]
 
 
-def run(rounds: int, load: tuple[int, int, float] = LOAD) -> dict[str, Any]:
-    """Measure in ``rounds`` rounds; returns a :func:`measure.report`. ``load``: topics, rate, seconds."""
+def run(
+    rounds: int, load: tuple[int, int, float] = LOAD, messages: dict[int, int] | None = None
+) -> dict[str, Any]:
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`.
+
+    Args:
+        rounds: How often both take their turn.
+        load: Topics each way, rate in Hz and seconds of a round.
+        messages: Messages of a round by rate in Hz, for latency.
+    """
     before = measure.environment()
     topics, rate, seconds = load
     found: dict[str, list[dict[str, float]]] = {name: [] for name in CONTENDERS}
@@ -124,6 +174,7 @@ def run(rounds: int, load: tuple[int, int, float] = LOAD) -> dict[str, Any]:
             print(f"round {number + 1} of {rounds}", file=sys.stderr)
             for name, kept in found.items():
                 kept.append(loaded(name, program, topics, rate, seconds))
+        latency = latencies(rounds, program, MESSAGES if messages is None else messages)
     ratios = [mine["both"] / its["both"] for its, mine in zip(*found.values(), strict=True)]
     lowest, highest = interval(ratios)
     more = {"ratio": statistics.median(ratios), "lowest": lowest, "highest": highest}
@@ -141,7 +192,7 @@ def run(rounds: int, load: tuple[int, int, float] = LOAD) -> dict[str, Any]:
     )
     facts = {f"lost, {name}": sum(one["lost"] for one in kept) for name, kept in found.items()}
     title = f"{topics} topics x {rate} Hz each way, CPU"
-    return measure.report([measure.table(title, "µs per message", waiting, rows, facts)], before)
+    return measure.report([measure.table(title, "µs per message", waiting, rows, facts), latency], before)
 
 
 if __name__ == "__main__":
