@@ -65,6 +65,8 @@ class _Answer:
 class _Topics:
     """A node that publishes one topic and receives none."""
 
+    parameters = SimpleNamespace(notice=lambda: None)
+
     def having(self, direction: str) -> dict[str, Any]:
         definition = SimpleNamespace(type_name="std_msgs/msg/String")
         return {"/t": SimpleNamespace(info=list, definition=definition)} if direction == "out" else {}

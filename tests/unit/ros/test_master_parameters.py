@@ -22,6 +22,11 @@ DECLARED = [
 ]
 
 
+NESTED: list[Any] = []
+for _ in range(5000):
+    NESTED = [NESTED]
+
+
 class Master:
     """A parameter server that keeps what XML-RPC makes of values."""
 
@@ -50,7 +55,8 @@ class Master:
             if not isinstance(place.get(group), dict):
                 place[group] = {}
             place = place[group]
-        ((place[last],), _) = xmlrpc.client.loads(xmlrpc.client.dumps((value,)))
+        plain = value is not NESTED  # which Python cannot write
+        place[last] = xmlrpc.client.loads(xmlrpc.client.dumps((value,)))[0][0] if plain else value
 
 
 class Cell:
@@ -157,6 +163,7 @@ def test_what_is_set(cell: Cell, path: str, value: Any, taken: dict[str, Any]) -
         ("arm/raw", [256], "256 is no byte"),
         ("arm/fixed", False, "read-only"),
         ("label", {"a": 1}, "{'a': 1} is no string"),
+        ("arm/raw", NESTED, "recursion"),
     ],
 )
 def test_what_cannot_be(

@@ -34,7 +34,7 @@ class MasterParameters:
         self._global = [each for each in declared if each.take is not None]
         self.values = {each.name: each.value for each in declared}
         self._node, self._apply, self._place = node, apply, node.node
-        self._shown: dict[str, Any] = {}  # by name, what the server was last seen to have
+        self._shown: dict[str, str] = {}  # by name, what the server was last seen to have
         self._asked: set[str] = set()  # names of what ``apply`` was asked for
         self._known = self._ours = False  # what holds; that what is set from now on is asked for
         self._told = False  # the master tells of sets
@@ -84,17 +84,17 @@ class MasterParameters:
         self._ours = True
         for each in self._own:
             form = _form(self.values[each.name])
-            if each.name not in self._asked and repr(form) != repr(self._shown[each.name]):
+            if each.name not in self._asked and _text(form) != self._shown[each.name]:
                 master.call("setParam", self._path(each.name), form)
-                self._shown[each.name] = form
+                self._shown[each.name] = _text(form)
 
     def _path(self, name: str) -> str:
         return f"{self._place}/{name.replace('.', '/')}"
 
     def _news(self, name: str, found: Any) -> bool:
         """Take in what the server has, None for nothing; return whether somebody has set that."""
-        before, self._shown[name] = self._shown.get(name), found
-        return found is not None and repr(found) != repr(before)  # of one type, too, and NaN
+        before, self._shown[name] = self._shown.get(name), _text(found)
+        return found is not None and self._shown[name] != before
 
     def _wanted(self, tree: Any, preset: Collection[str] | None = None) -> dict[str, Any]:
         """Return the values that were set on the server and can be had; others are logged."""
@@ -107,7 +107,7 @@ class MasterParameters:
                 continue
             try:
                 value = _fitting(each, found)
-            except ValueError as error:
+            except (ValueError, RecursionError) as error:
                 self._refused(each.name, str(error))
                 continue
             if value == self.values[each.name] and each.name not in self._asked:
@@ -135,6 +135,14 @@ class MasterParameters:
 
         self._asked.update(wanted)
         self._apply(wanted, done)
+
+
+def _text(value: Any) -> str:
+    """Return what tells values apart, also by their types; NaN is itself."""
+    try:
+        return repr(value)
+    except RecursionError:  # lists in lists in lists
+        return "too deep"
 
 
 def _form(value: Any) -> Any:
