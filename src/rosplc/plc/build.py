@@ -149,18 +149,15 @@ class _Blocks:
     options: ProjectOptions
     pous: list[Pou] = field(default_factory=list)
     _known: dict[tuple[str, bool, Layout], str] = field(default_factory=dict)
-    _parts: dict[tuple[str, Layout], str] = field(default_factory=dict)
     _calls: dict[tuple[str | Layout, ...], str] = field(default_factory=dict)
 
-    def name(self, layout: Layout, direction: str, classic: bool = False) -> str:
-        key = (direction, classic, layout)
+    def name(self, layout: Layout, direction: str, *, classic: bool = False, part: bool = False) -> str:
+        kind = f"{'Classic' if classic else ''}{direction.capitalize()}"
+        key = (kind, part, layout)
         if key not in self._known:
-            dut = self.builder.add(layout)
-            kind = f"{'Classic' if classic else ''}{direction.capitalize()}"
-            name = self._named(f"{dut}_{kind}", layout.type_name)
-            folder = f"{self.options.folder}/Blocks"
-            self.pous.append(block(kind, layout, self.builder, name, folder, pins=self.options.pins))
-            self._known[key] = name
+            name = self._known[key] = self._named(f"{self.builder.add(layout)}_{kind}", layout.type_name)
+            folder, pins = f"{self.options.folder}/Blocks", self.options.pins and not part
+            self.pous.append(block(kind, layout, self.builder, name, folder, pins=pins, part=part))
         return self._known[key]
 
     def of_call(self, call: CallPlan) -> str:
@@ -171,13 +168,8 @@ class _Blocks:
             parts = {}
             folder = f"{self.options.folder}/Blocks"
             for part, layout in zip(call.parts, call.layouts, strict=True):
-                kind = "Write" if part.asks == (call.server == "ros") else "Read"
-                dut = self.builder.add(layout)
-                if (kind, layout) not in self._parts:
-                    inner = self._named(f"{dut}_{kind}", layout.type_name)
-                    self._parts[kind, layout] = inner
-                    self.pous.append(block(kind, layout, self.builder, inner, folder, part=True))
-                parts[part.word] = dut, self._parts[kind, layout]
+                way = "write" if part.asks == (call.server == "ros") else "read"
+                parts[part.word] = self.builder.add(layout), self.name(layout, way, part=True)
             wanted = call_name(call, [dut for dut, _ in parts.values()])
             name = self._calls[key] = self._named(wanted, call.type_name)
             self.pous.append(call_block(role, call.type_name, parts, name, folder))
@@ -246,7 +238,7 @@ def build_project(
     indices = {task.name: index for index, task in enumerate(order)}
     cycles = {task.name: task.interval_ns if task.kind == "cyclic" else 0 for task in tasks}
     for topic in topics:
-        block_name = blocks.name(topic.layout, topic.direction, topic.classic is not None)
+        block_name = blocks.name(topic.layout, topic.direction, classic=topic.classic is not None)
         wanted, name = plain_name(topic.topic), names[topic.direction][topic.topic]
         if name != wanted:
             renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
