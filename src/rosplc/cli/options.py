@@ -13,10 +13,10 @@ import typer
 
 from rosplc.errors import ConfigError, SetupError
 from rosplc.harmless import listed
+from rosplc.shm import Namespace
 
 if TYPE_CHECKING:
     from rosplc.monitor import Picture, Watch
-    from rosplc.shm import Namespace
 
 _DEFAULT = Path("rosplc.yaml")
 _LOOK_S = 0.1
@@ -60,8 +60,6 @@ def observed_config(given: Path | None, prefix: str | None) -> Path | None:
 
 def bridge_namespace(prefix: str | None, directory: str, config: Path | None = None) -> Namespace:
     """Return the names of a bridge's objects: of ``prefix``, else of the configuration, else of `rosplc`."""
-    from rosplc.shm import Namespace
-
     if prefix is None and (file := config or default_config()) is not None:
         from rosplc.config.file import read_config
 

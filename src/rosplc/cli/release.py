@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import nullcontext
 
 import typer
 
@@ -20,7 +20,7 @@ from rosplc.cli.options import Directory, bridge_namespace
 from rosplc.cli.text import say
 from rosplc.cli.verb import verb
 from rosplc.errors import ChannelError
-from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Writer, attach
+from rosplc.shm import Attached, Direction, OwnedChannel, Writer, attach
 from rosplc.shm.attach import silence_ns
 
 _LOOK_S = 0.02
@@ -47,7 +47,10 @@ def command(
             if not sys.stdin.isatty():
                 raise typer.BadParameter("without a terminal, confirm with --yes", param_hint="--yes")
             typer.confirm(f"The writer of {topic} shows no life. Free its claim?", abort=True)
-        _release(namespace, attached, towards_plc=attached.identity.direction is Direction.TO_PLC)
+        to_plc = attached.identity.direction is Direction.TO_PLC
+        # Only a bridge writes there: its lock shows whether one is running.
+        with OwnedChannel.take_over(namespace, attached) if to_plc else nullcontext():
+            Writer(attached.region, attached.snapshot().writer.epoch, 1000).release()
     say(f"the claim of {topic} is free")
 
 
@@ -63,11 +66,3 @@ def _wait_for_silence(attached: Attached, topic: str) -> None:
                 "SHM114", f"{who} writes it, and is alive", where=topic, remedy="Stop that program first."
             )
         time.sleep(_LOOK_S)
-
-
-def _release(namespace: Namespace, attached: Attached, *, towards_plc: bool) -> None:
-    with ExitStack() as stack:
-        if towards_plc:
-            # Only a bridge writes there: its lock shows whether one is running.
-            stack.enter_context(OwnedChannel.take_over(namespace, attached))
-        Writer(attached.region, attached.snapshot().writer.epoch, 1000).release()

@@ -21,19 +21,18 @@ from typing import Any
 
 from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.clock import SYSTEM, Clock
-from rosplc.codec import Codec
 from rosplc.config import Project, read_config, resolve
 from rosplc.config.file import LEARNT, Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.harmless import one_line
 from rosplc.init.found import Reader
-from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
 from rosplc.model.fingerprints import rihs01, type_text
 from rosplc.model.folders import read, save_definitions, split_definition
-from rosplc.model.parse import MAX_NAME, MAX_TEXT, full_name, parse_definition
+from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
 from rosplc.ros import SERVICES, Backend, Reply, RosArguments, settled_graph
+from rosplc.ros.fields import pack
 from rosplc.ros.names import resolve_topic
 
 MOST_TYPES = 500  # one type's definition has a handful
@@ -169,7 +168,6 @@ def _ask(
     """Return a node's answer; raises MessageTypeError TYP010, CodecError or LayoutError."""
     if f"{_SERVICE}_Request" not in store:
         raise _refused(f"{store.distro} has no service for that; ros.distro decides")
-    layout = compute_layout(store, f"{_SERVICE}_Request", Limits(string=MAX_NAME))
     request = {"type_name": type_name, "type_hash": type_hash, "include_type_sources": True}
     replies: queue.SimpleQueue[Reply] = queue.SimpleQueue()
     client = backend.client(service, _SERVICE, SERVICES)
@@ -180,7 +178,7 @@ def _ask(
             if status.code or clock.monotonic_ns() > end:
                 raise _refused(status.reason or "its service is not ready")
             clock.sleep(50_000_000)
-        client.call(Codec(layout).encode(layout.pack(request)), replies.put)
+        client.call(pack(store, f"{_SERVICE}_Request", request), replies.put)
         reply = replies.get(timeout=_PATIENCE_S)
     except queue.Empty:
         raise _refused(f"no answer within {_PATIENCE_S:g} s") from None

@@ -11,21 +11,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from rosplc._version import __version__
 from rosplc.config import json_schema, parse_config, resolve
 from rosplc.errors import ConfigError, RosplcError
 from rosplc.harmless import one_line
 from rosplc.init.found import Found, Seen
+from rosplc.init.live import LiveRobot
 from rosplc.init.propose import RULES, Chosen, Entry, propose
+from rosplc.init.recorded import RecordedRobot
 from rosplc.model.folders import save_definitions
 
-if TYPE_CHECKING:
-    from rosplc.init.live import LiveRobot
-    from rosplc.init.recorded import RecordedRobot
-
-Source: TypeAlias = "LiveRobot | RecordedRobot"
+Source: TypeAlias = LiveRobot | RecordedRobot
 _WIDTH = 108
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 

@@ -12,11 +12,9 @@ import socket
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rosplc.bridge.engine import Bridge
-    from rosplc.bridge.status import BridgeStatus
+from rosplc.bridge.engine import Bridge
+from rosplc.bridge.status import BridgeStatus
 
 log = logging.getLogger("rosplc.service")
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Set
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aiohttp import WSMsgType, web
 
@@ -27,11 +27,8 @@ from rosplc.errors import RosplcError, WebError
 from rosplc.monitor.message import Message
 from rosplc.monitor.picture import Event, Picture
 from rosplc.monitor.watch import Watch
-from rosplc.web.access import require_token
+from rosplc.web.access import Settings, require_token
 from rosplc.web.write import shown
-
-if TYPE_CHECKING:
-    from rosplc.web.access import Settings
 
 MAX_PATH = 300  # characters of the longest path that is accepted
 
