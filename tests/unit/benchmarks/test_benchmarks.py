@@ -159,6 +159,16 @@ def test_the_benchmark_of_messages_with_fields() -> None:
     assert all(set(table) == {"raw", "typed"} for table in found.values())
 
 
+def test_the_benchmark_of_large_records() -> None:
+    """What is taken is what was written, from C and from Python."""
+    if shutil.which("gcc") is None:
+        pytest.skip("Debian package gcc is missing")
+    from benchmarks import bench_large
+
+    ((_, table),) = rows(bench_large.run(1, 1 << 16)).items()
+    assert set(table) == {"memcpy, C", "channel, C", "memcpy, Python", "channel, Python"}
+
+
 @pytest.mark.serial
 @pytest.mark.verify(minutes=2)
 def test_the_benchmark_of_all_backends() -> None:
