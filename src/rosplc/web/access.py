@@ -155,7 +155,8 @@ def access(settings: Settings) -> Middleware:
             _check(settings, request)
             return await handler(request)
         except RosplcError as error:
-            return refusal(error)
+            # In the form that --json gives everywhere.
+            return web.json_response({"error": error.to_dict()}, status=_STATUS.get(error.code, 409))
         except web.HTTPException as found:
             return web.json_response({"error": {"what": found.reason}}, status=found.status)
 
@@ -189,8 +190,3 @@ _STATUS = {
     "WEB003": 421, "WEB004": 403, "WEB005": 401, "WEB006": 403, "WEB007": 503, "WEB008": 404, "WEB009": 400,
     "WEB010": 409, "SHM101": 404, "LAY006": 422,
 }  # fmt: skip
-
-
-def refusal(error: RosplcError) -> web.Response:
-    """Return an error as an answer, in the form that ``--json`` gives everywhere."""
-    return web.json_response({"error": error.to_dict()}, status=_STATUS.get(error.code, 409))
