@@ -5,15 +5,14 @@ Recordings may be of unknown origin: no definition is executed, and lengths are 
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-from rosplc.errors import CodecError, RecordingError, RosplcError
+from rosplc.errors import BackendError, CodecError, RecordingError, RosplcError
 from rosplc.model import TypeStore
 from rosplc.model.types import (
-    PRIMITIVES,
     ArrayType,
+    Field,
     FieldType,
     MessageType,
     NamedType,
@@ -21,6 +20,7 @@ from rosplc.model.types import (
     SequenceType,
     StringType,
 )
+from rosplc.ros import ROS1, fields
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage", "rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log"}
 """ROS 1 type → the ROS 2 type that took its place."""
@@ -31,12 +31,11 @@ _LOG_NOTES = (
     "header.stamp is given as stamp; levels 1, 2, 4, 8, 16 as 10, 20, 30, 40, 50",
     *(f"{name} is dropped" for name in ("header.seq", "header.frame_id", "topics")),
 )
-_SWAP = {2: "H", 4: "I", 8: "Q"}
+_BYTES = {"byte", "char", "uint8"}
 _MOST_CALLS = 4096
-_ENCAPSULATION = b"\0\1\0\0"  # CDR, little-endian
 
-_Read = Callable[["_In"], Any]
-_Write = Callable[["_Out", Any], None]
+_Change = Callable[[Any], Any]
+_Bound = StringType | SequenceType
 
 
 def renamed(type_name: str, store: TypeStore) -> str:
@@ -64,23 +63,21 @@ class Conversion:
         to_ros1: bool = False,
         where: str = "",
     ) -> None:
-        self._source, self._target, self._where = source, target, where
-        self._from_ros1, self._to_ros1 = from_ros1, to_ros1
+        own, wanted, self._where, self._type = source[source_type], target[target_type], where, target_type
+        self._source = _on_wire(source, source_type, from_ros1)
+        self._target = _on_wire(target, target_type, to_ros1)
         self.notes: list[str] = []  # what differs between the two
         self.unchanged = from_ros1 == to_ros1  # whether a message's bytes are the same under both
         if source_type != target_type:
             self.notes.append(f"{source_type} is given as {target_type}")
-        self._is_log = (source_type, target_type) == _LOG
-        own = source[source_type]
+        self._own, self._is_log = own.name, (source_type, target_type) == _LOG
         if self._is_log:
             self.notes.extend(_LOG_NOTES)
             self.unchanged = False
-            shape = {field.name: field.type for field in own.fields}
-            shape["stamp"] = NamedType("builtin_interfaces/msg/Time")
-            self._write = self._struct(shape, target[target_type], "", source_type, noted=False)
-        else:
-            self._write = self._message(own, target[target_type], "")
-        self._read = self._reader(NamedType(own.name))
+            stamp = Field("stamp", NamedType("builtin_interfaces/msg/Time"))
+            kept = (field for field in own.fields if field.name not in ("header", "topics"))
+            own = MessageType(source_type, (stamp, *kept))
+        self._change = self._message(own, wanted, "")
 
     def __call__(self, data: bytes) -> bytes | None:
         """Return a message under the target's definition; None if there is nothing to be sent.
@@ -89,39 +86,17 @@ class Conversion:
         """
         if self.unchanged:
             return data
-        given = _In(data, cdr=not self._from_ros1)
-        value = self._read(given)
-        given.end()
+        value = _read(self._source, self._own, data)
         if self._is_log:
-            [level] = value["level"]
-            value |= {"stamp": value["header"]["stamp"], "level": bytes([_LOG_LEVELS.get(level, level)])}
-        out = _Out(cdr=not self._to_ros1)
-        self._write(out, value)
-        return out.finished()
+            level = value["level"]
+            value |= {"stamp": value["header"]["stamp"], "level": _LOG_LEVELS.get(level, level)}
+        return self._written(value)
 
-    # -- reading
+    def _written(self, value: Any) -> bytes:
+        data = fields.pack(self._target, self._type, self._change(value))
+        return data if self._target.ros_version == 1 else data + bytes(-len(data) % 4)
 
-    def _reader(self, kind: FieldType) -> _Read:
-        if isinstance(kind, NamedType):
-            fields = [(field.name, self._reader(field.type)) for field in self._source[kind.name].fields]
-            hidden = not fields and not self._from_ros1  # what ROS 2 gives a message without fields
-            return lambda one: one.take(1, 1) if hidden else {name: read(one) for name, read in fields}
-        if isinstance(kind, StringType):
-            return _In.string
-        if isinstance(kind, PrimitiveType):
-            size = PRIMITIVES[kind.name]
-            return lambda one: one.numbers(size, 1)
-        counted = isinstance(kind, SequenceType)
-        length = 0 if isinstance(kind, SequenceType) else kind.length
-        if isinstance(kind.element, PrimitiveType):
-            size = PRIMITIVES[kind.element.name]
-            return lambda one: one.numbers(size, one.count() if counted else length)
-        element = self._reader(kind.element)
-        return lambda one: [element(one) for _ in range(one.count() if counted else length)]
-
-    # -- writing
-
-    def _message(self, own: MessageType, wanted: MessageType, path: str) -> _Write:
+    def _message(self, own: MessageType, wanted: MessageType, path: str) -> _Change:
         shape = {field.name: field.type for field in own.fields}
         names, wanted_names = list(shape), [field.name for field in wanted.fields]
         self.notes.extend(
@@ -136,94 +111,48 @@ class Conversion:
                 raise self._refused(f"{own.name} and {wanted.name} have no field in common")
             if [n for n in names if n in common] != [n for n in wanted_names if n in common]:
                 self.notes.append(f"{path}* are in another order in {wanted.name}; they are matched by name")
-        return self._struct(shape, wanted, path, own.name)
-
-    def _struct(
-        self, shape: Mapping[str, FieldType], wanted: MessageType, path: str, own: str, *, noted: bool = True
-    ) -> _Write:
-        writes: list[tuple[str, _Write]] = []
+        changes: dict[str, _Change] = {}
         for field in wanted.fields:
             if field.name in shape:
-                writes.append((field.name, self._field(shape[field.name], field.type, f"{path}{field.name}")))
+                changes[field.name] = self._field(shape[field.name], field.type, f"{path}{field.name}")
             else:
-                writes.append(("", self._zero(field.type)))
-                if noted:
-                    self.notes.append(f"{path}{field.name} stays zero: {own} has no such field")
-        hidden = not writes and not self._to_ros1
+                self.notes.append(f"{path}{field.name} stays zero: {own.name} has no such field")
+        return lambda value: {name: change(value[name]) for name, change in changes.items()}
 
-        def write(out: _Out, value: Any) -> None:
-            if hidden:
-                out.put(b"\0", 1)
-            for name, one in writes:
-                one(out, value[name] if name else None)
-
-        return write
-
-    def _field(self, own: FieldType, wanted: FieldType, path: str) -> _Write:
+    def _field(self, own: FieldType, wanted: FieldType, path: str) -> _Change:
         if isinstance(own, NamedType) and isinstance(wanted, NamedType):
             return self._message(self._source[own.name], self._target[wanted.name], f"{path}.")
         if isinstance(own, StringType) and isinstance(wanted, StringType):
-            return self._string(own, wanted, path)
+            return self._bounded(_same, own, wanted, path)
         if isinstance(own, PrimitiveType) and isinstance(wanted, PrimitiveType):
-            if own.name == wanted.name or _both_bytes(own, wanted):
-                size = PRIMITIVES[own.name]
-                return lambda out, value: out.put(value, size)
+            if own.name == wanted.name or {own.name, wanted.name} <= _BYTES:
+                return _same
+            if {own.name, wanted.name} <= {*_BYTES, "int8"} and "byte" in (str(own), str(wanted)):
+                most = 127 if wanted.name == "int8" else 255  # the same 8 bits: ROS 1 has a signed byte
+                return lambda value: value % 256 - 256 * (value % 256 > most)
         elif isinstance(own, ArrayType) and isinstance(wanted, ArrayType) and own.length == wanted.length:
-            return self._list(own.element, wanted.element, path, None)
+            return self._elements(own.element, wanted.element, path)
         elif isinstance(own, SequenceType) and isinstance(wanted, SequenceType):
-            bound = (1 << 32) - 1 if wanted.bound is None else wanted.bound
-            if wanted.bound is not None and wanted.bound != own.bound:
-                self.unchanged = False
-            return self._list(own.element, wanted.element, path, bound)
+            return self._bounded(self._elements(own.element, wanted.element, path), own, wanted, path)
         raise self._refused(f"its field {path} was recorded as {own}, and {wanted} is wanted")
 
-    def _string(self, own: StringType, wanted: StringType, path: str) -> _Write:
-        if wanted.bound is not None and wanted.bound != own.bound:
-            self.unchanged = False
+    def _elements(self, own: FieldType, wanted: FieldType, path: str) -> _Change:
+        change = self._field(own, wanted, f"{path}[]")
+        return _same if change is _same else lambda value: [change(one) for one in value]
 
-        def write(out: _Out, value: bytes) -> None:
-            if wanted.bound is not None and len(value) > wanted.bound:
-                raise CodecError("COD008", f"{len(value)} bytes, {wanted.bound} are the most", where=path)
-            out.string(value)
+    def _bounded(self, change: _Change, own: _Bound, wanted: _Bound, path: str) -> _Change:
+        bound, what = wanted.bound, "bytes" if isinstance(wanted, StringType) else "elements"
+        if bound is None:
+            return change
+        self.unchanged = self.unchanged and bound == own.bound
 
-        return write
+        def checked(value: Any) -> Any:
+            count = len(value.encode(errors="surrogateescape") if isinstance(value, str) else value)
+            if count > bound:
+                raise CodecError("COD008", f"{count} {what}, {bound} are the most", where=path)
+            return change(value)
 
-    def _list(self, own: FieldType, wanted: FieldType, path: str, bound: int | None) -> _Write:
-        flat = PRIMITIVES[own.name] if isinstance(own, PrimitiveType) else 0
-        element = self._field(own, wanted, f"{path}[]")
-
-        def write(out: _Out, value: Any) -> None:
-            count = len(value) // flat if flat else len(value)
-            if bound is not None:
-                if count > bound:
-                    raise CodecError("COD008", f"{count} elements, {bound} are the most", where=path)
-                out.put(count.to_bytes(4, "little"), 4)
-            if flat:
-                if count:
-                    out.put(value, flat)
-                return
-            for one in value:
-                element(out, one)
-
-        return write
-
-    def _zero(self, wanted: FieldType) -> _Write:
-        if isinstance(wanted, NamedType):
-            return self._struct({}, self._target[wanted.name], "", "", noted=False)
-        if isinstance(wanted, StringType):
-            return lambda out, _: out.string(b"")
-        if isinstance(wanted, PrimitiveType):
-            size = PRIMITIVES[wanted.name]
-            return lambda out, _: out.put(bytes(size), size)
-        if isinstance(wanted, SequenceType):
-            return lambda out, _: out.put(bytes(4), 4)
-        element, length = self._zero(wanted.element), wanted.length
-
-        def write(out: _Out, _: Any) -> None:
-            for _ in range(length):
-                element(out, None)
-
-        return write
+        return checked
 
     def _refused(self, what: str) -> RosplcError:
         return RecordingError(
@@ -251,17 +180,16 @@ class Requests(Conversion):
             Conversion(source, part, target, part, to_ros1=to_ros1, where=where)
         own = f"{name}_{asked}"
         super().__init__(source, own, target, own, to_ros1=to_ros1, where=where)
-        self._event = self._reader(NamedType(f"{name}{'_SendGoal' * self._is_goal}_Event"))
-        self._seen: dict[bytes, bytes] = {}
+        self._event = f"{name}{'_SendGoal' * self._is_goal}_Event"
+        self._events = _on_wire(source, self._event, False)
+        self._seen: dict[tuple[bytes, int], int] = {}
 
     def __call__(self, data: bytes) -> bytes | None:
         """Return the request or goal; CodecError too if the recording has none of its content."""
-        given = _In(data, cdr=True)
-        event = self._event(given)
-        given.end()
+        event = _read(self._events, self._event, data)
         about = event["info"]
-        kind, call = about["event_type"], about["client_gid"] + about["sequence_number"]
-        if kind[0] > 1:  # neither REQUEST_SENT nor REQUEST_RECEIVED
+        kind, call = about["event_type"], (about["client_gid"], about["sequence_number"])
+        if kind > 1:  # neither REQUEST_SENT nor REQUEST_RECEIVED
             return None
         if len(self._seen) >= _MOST_CALLS:
             self._seen.clear()
@@ -270,82 +198,27 @@ class Requests(Conversion):
         if not event["request"]:
             raise CodecError("COD001", "the recording has only the fact of the request", where=self._where)
         [request] = event["request"]
-        out = _Out(cdr=not self._to_ros1)
-        self._write(out, request["goal"] if self._is_goal else request)
-        return out.finished()
+        return self._written(request["goal"] if self._is_goal else request)
 
 
-def _both_bytes(own: PrimitiveType, wanted: PrimitiveType) -> bool:
-    """Return whether two types are the same 8 bits under other names; ROS 1 has a signed byte."""
-    names = {own.name, wanted.name}
-    return names <= {"byte", "char", "uint8"} or (
-        "byte" in (str(own), str(wanted)) and names <= {"byte", "char", "uint8", "int8"}
-    )
+def _same(value: Any) -> Any:
+    return value
 
 
-class _In:
-    """A message that is being read; numbers come out little-endian."""
-
-    def __init__(self, data: bytes, *, cdr: bool) -> None:
-        self._data, self._cdr = data, cdr
-        self._at, self._big = 0, False
-        if cdr:
-            kind = self.take(4, 1)[:2]
-            if kind not in (b"\0\0", b"\0\1"):
-                raise CodecError("COD003", f"encapsulation 0x{kind.hex()} is neither 0x0000 nor 0x0001")
-            self._big = kind == b"\0\0"
-
-    def take(self, size: int, align: int) -> bytes:
-        begin = self._at + ((4 - self._at) % align if self._cdr else 0)
-        self._at = begin + size
-        if self._at > len(self._data):
-            raise CodecError("COD001", f"{size} bytes at byte {begin}, where {len(self._data)} are in all")
-        return self._data[begin : self._at]
-
-    def numbers(self, size: int, count: int) -> bytes:
-        if not count:
-            return b""
-        raw = self.take(size * count, size)
-        if self._big and size > 1:
-            swapped = array(_SWAP[size], raw)
-            swapped.byteswap()
-            return swapped.tobytes()
-        return raw
-
-    def count(self) -> int:
-        count = int.from_bytes(self.numbers(4, 1), "little")
-        if count > len(self._data):  # elements of no size would be counted without end
-            raise CodecError("COD001", f"{count} elements in {len(self._data)} bytes")
-        return count
-
-    def end(self) -> None:
-        rest = len(self._data) - self._at
-        if rest > (3 if self._cdr else 0):
-            raise CodecError("COD002", f"{rest} bytes are left over")
-
-    def string(self) -> bytes:
-        raw = self.take(self.count(), 1)
-        return raw[:-1] if self._cdr else raw
+def _on_wire(store: TypeStore, name: str, ros1: bool) -> TypeStore:
+    """Return a type, and those it needs, of the ROS in whose serialization its messages are."""
+    return TypeStore(ROS1 if ros1 else "", {each: store[each] for each in store.dependencies(name)})
 
 
-class _Out:
-    """A message that is being written, little-endian."""
-
-    def __init__(self, *, cdr: bool) -> None:
-        self._cdr = cdr
-        self._data = bytearray(_ENCAPSULATION if cdr else b"")
-
-    def put(self, raw: bytes, align: int) -> None:
-        if self._cdr:
-            self._data += bytes((4 - len(self._data)) % align)
-        self._data += raw
-
-    def string(self, value: bytes) -> None:
-        end = b"\0" if self._cdr else b""
-        self.put((len(value) + len(end)).to_bytes(4, "little"), 4)
-        self._data += value + end
-
-    def finished(self) -> bytes:
-        if self._cdr:
-            self._data += bytes(-len(self._data) % 4)
-        return bytes(self._data)
+def _read(store: TypeStore, name: str, data: bytes) -> dict[str, Any]:
+    cdr = store.ros_version == 2
+    if cdr and len(data) >= 4 and data[:2] not in (b"\0\0", b"\0\1"):
+        what = f"encapsulation 0x{data[:2].hex()} is neither 0x0000 nor 0x0001"
+        raise CodecError("COD003", what)
+    try:
+        value, rest = fields.unpack_first(store, name, data, None)
+    except BackendError as error:
+        raise CodecError("COD001", error.what) from error
+    if len(rest) > (3 if cdr else 0):
+        raise CodecError("COD002", f"{len(rest)} bytes are left over")
+    return value

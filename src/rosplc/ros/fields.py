@@ -70,6 +70,8 @@ class _Reader:
     def _value(self, kind: FieldType) -> Any:
         if isinstance(kind, SequenceType | ArrayType):
             count = kind.length if isinstance(kind, ArrayType) else self._numbers("uint32", 1)[0]
+            if isinstance(kind, SequenceType) and count > len(self._body):
+                raise IndexError(f"{count} elements")  # those without a size would be counted without end
             return self._values(kind.element, count)
         return self._values(kind, 1)[0]
 
