@@ -28,6 +28,7 @@ from benchmarks import measure
 from benchmarks.bench_bridge import LOAD, MESSAGES, Contender, begin, latency_topics, load_config
 from benchmarks.peers import EVERY, STRING, TO_PLC, TO_ROS, TYPE, names
 from benchmarks.processes import RosGraph, bridge, cpu_seconds, environment, peers, ros_domain
+from rosplc.demo.processes import remove_objects
 from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
@@ -64,11 +65,12 @@ def node(program: Path, prefix: str, domain: int, ins: list[str], outs: list[str
     variables["CYCLONEDDS_URI"] = domain_config(variables, "jazzy")
     words = []
     with ExitStack() as stack:
+        stack.callback(remove_objects, prefix)
         for way, direction, topics in (("in", Direction.TO_PLC, ins), ("out", Direction.TO_ROS, outs)):
             for topic in topics:
                 about = description_of(layout, topic, direction, bridge=prefix)
                 channel = OwnedChannel.open(Namespace(prefix), about, record_size=layout.size, slots=4096)
-                stack.callback(channel.retire)
+                stack.callback(channel.close)
                 words += [way, dds_topic(topic), str(channel.path)]
         with Side("dds_node", [str(program), str(domain), str(DEPTH), *words], variables) as side:
             side.receive()

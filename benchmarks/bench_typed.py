@@ -18,6 +18,7 @@ from benchmarks import measure
 from benchmarks.bench_codec import JOINTS, MESSAGES
 from benchmarks.bench_dds import interval
 from rosplc import attach
+from rosplc.demo.processes import remove_objects
 from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
@@ -52,10 +53,11 @@ def round_trips(
 ) -> dict[str, Callable[[], object]]:
     """Return a round trip of each kind, over a channel of its own."""
     space = Namespace(f"bench-{secrets.token_hex(4)}")
+    stack.callback(remove_objects, space.prefix)
     for topic in ("/typed", "/raw"):
         about = description_of(layout, topic, Direction.TO_ROS, bridge="bench")
         owned = OwnedChannel.open(space, about, record_size=layout.size, slots=16)
-        stack.callback(owned.retire)
+        stack.callback(owned.close)
     source = stack.enter_context(attach("/typed", prefix=space.prefix, write=True))
     target = stack.enter_context(attach("/typed", prefix=space.prefix))
     ends = [attach_raw(space, "/raw", direction=Direction.TO_ROS, write=write) for write in (True, False)]

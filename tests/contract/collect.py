@@ -219,9 +219,13 @@ def contract() -> dict[str, str]:
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         scene = Scene(Path(folder))
-        for name, document in scene.documents():
-            found |= {f"--json of {name}: {path}": "key" for path in paths(document)}
-        found |= dict([*scene.recorded(), *scene.exits()])
+        try:
+            for name, document in scene.documents():
+                found |= {f"--json of {name}: {path}": "key" for path in paths(document)}
+            found |= dict([*scene.recorded(), *scene.exits()])
+        finally:
+            for file in Path("/dev/shm").glob(f"{scene.prefix}.*"):
+                file.unlink()
     return found
 
 

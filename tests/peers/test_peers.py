@@ -40,16 +40,15 @@ WATCHDOG_S = 100.0
 NO_BRIDGE, REPLACED = 125, {109, 111}  # the object has gone, or is retired: the block opens the next one
 
 
-def test_a_program_over_the_old_c_headers(tmp_path: Path) -> None:
+def test_a_program_over_the_old_c_headers(tmp_path: Path, shm_namespace: Namespace) -> None:
     """It takes every message of today's writer in order, and today's reader takes every one of its own."""
     program = tmp_path / "echo"
     headers = old_release() / "rosplc" / "_core"
     flags = ["-std=gnu11", "-O2", "-Wall", "-Werror", f"-I{headers}"]
     subprocess.run(["gcc", *flags, str(HERE / "echo.c"), "-o", str(program)], check=True)
-    namespace = Namespace(f"peers{secrets.token_hex(4)}", "/dev/shm")
     into, out = (
         OwnedChannel.open(
-            namespace, description_of(LAYOUT, topic, direction, bridge="test"), record_size=LAYOUT.size
+            shm_namespace, description_of(LAYOUT, topic, direction, bridge="test"), record_size=LAYOUT.size
         )
         for topic, direction in (("/in", Direction.TO_PLC), ("/out", Direction.TO_ROS))
     )
