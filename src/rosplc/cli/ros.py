@@ -25,11 +25,11 @@ from rosplc.cli.text import print_json, say, warn
 from rosplc.cli.verb import Between, verb
 from rosplc.config import Config, read_config
 from rosplc.errors import RosplcError
-from rosplc.init.found import Reader
 from rosplc.init.learn import Definitions, learn
 from rosplc.init.live import distro_here, matching
 from rosplc.model.parse import full_name
 from rosplc.ros import EndpointInfo, Qos, settled_graph
+from rosplc.ros.fields import unpack_whole
 
 _LOOK_S = 5.0  # how long to look for a topic at most; the graph is complete earlier where it is small
 _WINDOW = 10_000
@@ -182,12 +182,11 @@ def _echo(
     """
     with _Node(backend, distro, domain, types) as node:
         type_name = node.type_of(topic, message_type)
-        read = Reader(node.definitions.store, type_name)
         with node.messages(topic, type_name) as arrived:
             while True:
                 _, data = _next(arrived)
                 try:
-                    value: Any = read(data)
+                    value: Any = unpack_whole(node.definitions.store, type_name, data)
                 except RosplcError as error:
                     warn(f"{topic}: {error.what} [{error.code}]")
                     continue
@@ -288,7 +287,7 @@ def _pub(
         name = node.type_of(topic, message_type)
         store = node.definitions.store
         message = Writer(store, name, given)
-        shown = as_python(store, name, Reader(store, name)(message()))
+        shown = as_python(store, name, unpack_whole(store, name, message()))
         publisher = node.backend.advertise(topic, name, qos)
         wanted = wait_matching_subscriptions
         wanted = (1 if most else 0) if wanted is None else wanted

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -67,17 +68,17 @@ def _note_lengths(value: Any, path: str, lengths: dict[str, int]) -> None:
 
 def as_yaml(value: Any, *, whole: bool = False) -> str:
     """Return a message as ``ros2 topic echo`` prints it, without the line between two messages."""
-    shown = value if whole else _shortened(value)
+    shown = _shortened(value, sys.maxsize if whole else _SHOWN)
     text = yaml.safe_dump(shown, sort_keys=False, allow_unicode=True, width=2**31, default_flow_style=False)
     return text.removesuffix("\n...\n").rstrip("\n")  # YAML's mark after a lone value
 
 
-def _shortened(value: Any) -> Any:
+def _shortened(value: Any, most: int) -> Any:
     if isinstance(value, dict):
-        return {name: _shortened(part) for name, part in value.items()}
+        return {name: _shortened(part, most) for name, part in value.items()}
     if isinstance(value, (list, tuple, bytes)):
-        return [*map(_shortened, value[:_SHOWN]), *(["..."] if len(value) > _SHOWN else [])]
-    return f"{value[:_SHOWN]}..." if isinstance(value, str) and len(value) > _SHOWN else value
+        return [*(_shortened(part, most) for part in value[:most]), *(["..."] if len(value) > most else [])]
+    return f"{value[:most]}..." if isinstance(value, str) and len(value) > most else value
 
 
 def as_python(store: TypeStore, type_name: str, value: Any) -> str:

@@ -9,17 +9,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
-from rosplc.codec import Codec
-from rosplc.errors import LayoutError
-from rosplc.layout import Limits, compute_layout
 from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, StringType, TypeStore
 from rosplc.model.types import PRIMITIVES
 from rosplc.ros import Qos
 
-_MOST_PER_BYTE, _MOST_SPARE = 64, 1 << 24
-"""How much larger than its message a record may be: nested sequences of differing lengths multiply."""
 _MOST_VISITS = 100_000
 """Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
 
@@ -105,35 +100,6 @@ class Meter:
         self.seen.seconds = seconds
         self.seen.trouble = "" if self.seen.messages + self.seen.unreadable else trouble
         return self.seen
-
-
-class Reader:
-    """Decodes messages of one type, which the store knows, whatever their lengths."""
-
-    def __init__(self, store: TypeStore, type_name: str) -> None:
-        self._store, self._type_name = store, type_name
-        self._meter = Meter(store, type_name)
-        self._codec: Codec | None = None
-        self._capacities: dict[str, int] = {}
-
-    def __call__(self, data: bytes) -> dict[str, Any]:
-        """Return a message as nested dicts and lists.
-
-        Raises CodecError, the bytes are no message of the type; LayoutError LAY003, it is too large to be
-        shown.
-        """
-        self._meter.take(data, 0)
-        capacities = {path: max(1, length.most) for path, length in self._meter.seen.lengths.items()}
-        if self._codec is None or capacities != self._capacities:
-            layout = compute_layout(
-                self._store, self._type_name, Limits(string=1, sequence=1, fields=capacities)
-            )
-            if layout.size > _MOST_PER_BYTE * len(data) + _MOST_SPARE:
-                raise LayoutError(
-                    "LAY003", f"a message of {len(data)} bytes needs {layout.size} bytes to be shown"
-                )
-            self._codec, self._capacities = Codec(layout), capacities
-        return self._codec.layout.to_dict(self._codec.decode(data))
 
 
 class _TooMuchError(Exception):

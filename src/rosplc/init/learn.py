@@ -25,14 +25,13 @@ from rosplc.config import Project, read_config, resolve
 from rosplc.config.file import LEARNT, Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.harmless import one_line
-from rosplc.init.found import Reader
 from rosplc.model import TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
 from rosplc.model.fingerprints import rihs01, type_text
 from rosplc.model.folders import read, save_definitions, split_definition
 from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
 from rosplc.ros import SERVICES, Backend, Reply, RosArguments, settled_graph
-from rosplc.ros.fields import pack
+from rosplc.ros.fields import pack, unpack_whole
 from rosplc.ros.names import resolve_topic
 
 MOST_TYPES = 500  # one type's definition has a handful
@@ -165,7 +164,7 @@ def learn(definitions: Definitions, backend: Backend, topic: str, type_name: str
 def _ask(
     backend: Backend, store: TypeStore, service: str, type_name: str, type_hash: str, clock: Clock = SYSTEM
 ) -> dict[str, Any]:
-    """Return a node's answer; raises MessageTypeError TYP010, CodecError or LayoutError."""
+    """Return a node's answer; raises MessageTypeError TYP010 or CodecError."""
     if f"{_SERVICE}_Request" not in store:
         raise _refused(f"{store.distro} has no service for that; ros.distro decides")
     request = {"type_name": type_name, "type_hash": type_hash, "include_type_sources": True}
@@ -188,7 +187,7 @@ def _ask(
         raise _refused(reply.text or reply.outcome)
     if len(reply.payload) > MAX_TEXT:
         raise _refused(f"its answer has {len(reply.payload)} bytes, more than {MAX_TEXT}")
-    return Reader(store, f"{_SERVICE}_Response")(reply.payload)
+    return unpack_whole(store, f"{_SERVICE}_Response", reply.payload)
 
 
 def take(

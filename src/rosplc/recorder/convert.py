@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rosplc.errors import BackendError, CodecError, RecordingError, RosplcError
+from rosplc.errors import CodecError, RecordingError, RosplcError
 from rosplc.model import TypeStore
 from rosplc.model.types import (
     ArrayType,
@@ -86,7 +86,7 @@ class Conversion:
         """
         if self.unchanged:
             return data
-        value = _read(self._source, self._own, data)
+        value = fields.unpack_whole(self._source, self._own, data)
         if self._is_log:
             level = value["level"]
             value |= {"stamp": value["header"]["stamp"], "level": _LOG_LEVELS.get(level, level)}
@@ -186,7 +186,7 @@ class Requests(Conversion):
 
     def __call__(self, data: bytes) -> bytes | None:
         """Return the request or goal; CodecError too if the recording has none of its content."""
-        event = _read(self._events, self._event, data)
+        event = fields.unpack_whole(self._events, self._event, data)
         about = event["info"]
         kind, call = about["event_type"], (about["client_gid"], about["sequence_number"])
         if kind > 1:  # neither REQUEST_SENT nor REQUEST_RECEIVED
@@ -208,17 +208,3 @@ def _same(value: Any) -> Any:
 def _on_wire(store: TypeStore, name: str, ros1: bool) -> TypeStore:
     """Return a type, and those it needs, of the ROS in whose serialization its messages are."""
     return TypeStore(ROS1 if ros1 else "", {each: store[each] for each in store.dependencies(name)})
-
-
-def _read(store: TypeStore, name: str, data: bytes) -> dict[str, Any]:
-    cdr = store.ros_version == 2
-    if cdr and len(data) >= 4 and data[:2] not in (b"\0\0", b"\0\1"):
-        what = f"encapsulation 0x{data[:2].hex()} is neither 0x0000 nor 0x0001"
-        raise CodecError("COD003", what)
-    try:
-        value, rest = fields.unpack_first(store, name, data, None)
-    except BackendError as error:
-        raise CodecError("COD001", error.what) from error
-    if len(rest) > (3 if cdr else 0):
-        raise CodecError("COD002", f"{len(rest)} bytes are left over")
-    return value

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-from rosplc.errors import BackendError
+from rosplc.errors import BackendError, CodecError
 from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, TypeStore
 from rosplc.model.types import FORMATS, PRIMITIVES
 
@@ -28,6 +28,20 @@ def unpack_first(
         return reader.message(type_name, count), reader.rest()
     except (struct.error, IndexError) as error:
         raise BackendError("ROS008", f"a {type_name} cannot be read: {error}") from error
+
+
+def unpack_whole(store: TypeStore, type_name: str, payload: bytes) -> dict[str, Any]:
+    """Return a message as :func:`unpack`; COD001, COD002 or COD003 if the bytes are no such message."""
+    cdr = store.ros_version == 2
+    if cdr and len(payload) >= 4 and payload[:2] not in (b"\0\0", b"\0\1"):
+        raise CodecError("COD003", f"encapsulation 0x{payload[:2].hex()} is neither 0x0000 nor 0x0001")
+    try:
+        value, rest = unpack_first(store, type_name, payload, None)
+    except BackendError as error:
+        raise CodecError("COD001", error.what) from error
+    if len(rest) > (3 if cdr else 0):
+        raise CodecError("COD002", f"{len(rest)} bytes are left over")
+    return value
 
 
 def pack(store: TypeStore, type_name: str, values: Mapping[str, Any]) -> bytes:
