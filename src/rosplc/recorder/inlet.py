@@ -6,10 +6,10 @@ what it missed. The caller of :meth:`Inlet.look_after` opens and closes objects.
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -331,12 +331,7 @@ class Outlet:
         self.error: Exception | None = None
         self._waiting = 0
         self._lock = threading.Lock()
-        self._queue: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="rosplc-chunks", daemon=True)
-
-    def start(self) -> None:
-        """Begin."""
-        self._thread.start()
+        self._pool = ThreadPoolExecutor(1, "rosplc-chunks")
 
     def put(self, batch: Batch) -> None:
         """Add a batch; never blocks."""
@@ -346,29 +341,26 @@ class Outlet:
             if fits:
                 self._waiting += size
         if fits:
-            self._queue.put(batch)
+            self._pool.submit(self._pass_on, batch)
         else:
             self._drop(batch)
 
     def stop(self) -> None:
         """Pass on what waits, and end."""
-        self._queue.put(None)
-        if self._thread.is_alive():
-            self._thread.join()
+        self._pool.shutdown()
 
-    def _run(self) -> None:
-        while (batch := self._queue.get()) is not None:
+    def _pass_on(self, batch: Batch) -> None:
+        with self._lock:
+            self._waiting -= len(batch.data)
+        if self.error is not None:
+            self._drop(batch)
+            return
+        try:
+            self._take(seal(batch, self._compression))
+        except Exception as error:  # reported where the recording is waited for
+            self._drop(batch)
             with self._lock:
-                self._waiting -= len(batch.data)
-            if self.error is not None:
-                self._drop(batch)
-                continue
-            try:
-                self._take(seal(batch, self._compression))
-            except Exception as error:  # reported where the recording is waited for
-                self._drop(batch)
-                with self._lock:
-                    self.error = error
+                self.error = error
 
     def _drop(self, batch: Batch) -> None:
         with self._lock:

@@ -301,7 +301,6 @@ class Recorder:
         if self._ring is not None:
             # Not only when a trigger fires: what is in memory then would be lost.
             try_place(self.options.base)
-        self._outlet.start()
         try:
             self.inlet.start()
             self._raise_failure()
