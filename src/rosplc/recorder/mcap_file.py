@@ -446,24 +446,21 @@ def _summary(path: Path, stream: _Bounded) -> Survey | None:
 def _walk(found: Survey, stream: _Bounded) -> None:
     """Go through the records at the top level."""
     begin = offset = stream.tell()
-    loose: list[tuple[int, int, int]] = []
-
-    def close_loose() -> None:
-        if loose:
-            times = [time for _, _, time in loose]
-            found.parts.append(Part(loose[0][0], loose[-1][1], min(times), max(times)))
-            loose.clear()
-
+    loose = False  # whether the last part is one of messages outside of chunks, and may grow
     try:
         for record in stream.records(skip_magic=False):
             if isinstance(record, Chunk):
-                close_loose()
                 start, end = record.message_start_time, record.message_end_time
                 found.parts.append(Part(offset, stream.tell(), start, end))
+                loose = False
             elif isinstance(record, Message):
-                loose.append((offset, stream.tell(), record.log_time))
-                if loose[-1][1] - loose[0][0] > _LOOSE:
-                    close_loose()
+                part = Part(offset, stream.tell(), record.log_time, record.log_time)
+                if loose:
+                    before = found.parts.pop()
+                    start, end = min(before.start_ns, part.start_ns), max(before.end_ns, part.end_ns)
+                    part = Part(before.offset, part.end, start, end)
+                found.parts.append(part)
+                loose = part.end - part.offset <= _LOOSE
             else:
                 found.note(record)
             offset = stream.tell()
@@ -476,7 +473,6 @@ def _walk(found: Survey, stream: _Bounded) -> None:
             what = f"{what}: {_words(error)}"
             raise RecordingError("REC003", what, where=str(found.path), remedy=remedy) from error
         found.problem = f"it ends, or is damaged, at byte {offset}: {_words(error)}"
-    close_loose()
 
 
 def _look_inside(found: Survey) -> None:

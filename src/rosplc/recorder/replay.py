@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, cast
 
 from rosplc.bridge.bind import Binding
@@ -575,20 +576,10 @@ class _Plan:
     owner: Rights = USUAL
 
     def bind(self, namespace: Namespace) -> Binding:
-        def open_channel() -> OwnedChannel:
-            return OwnedChannel.open(
-                namespace, self.description, record_size=self.layout.size, slots=self.slots, rights=self.owner
-            )
-
-        return Binding(
-            self.description,
-            Codec(self.layout, Wire.CDR),
-            open_channel,
-            None,
-            print=False,
-            truncate=self.truncate,
-            every=False,
-        )
+        own = {"record_size": self.layout.size, "slots": self.slots, "rights": self.owner}
+        made = partial(OwnedChannel.open, namespace, self.description, **own)
+        codec, cut = Codec(self.layout, Wire.CDR), self.truncate
+        return Binding(self.description, codec, made, None, print=False, truncate=cut, every=False)
 
 
 def _with(store: TypeStore, own: TypeStore, type_name: str) -> TypeStore:

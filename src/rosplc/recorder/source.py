@@ -153,22 +153,16 @@ class McapSource(Source):
         ]
         waiting.sort(reverse=True)  # the next one last
         heap: list[tuple[int, int, int, Message, Iterator[Message]]] = []
-
-        def add(number: int, offset: int, run: Iterator[Message]) -> None:
-            for one in run:  # equal times in the order of the file
-                heapq.heappush(heap, (one.log_time, number, offset, one, run))
-                return
-
         while heap or waiting:
-            while waiting and (not heap or (waiting[-1][0] <= heap[0][0] and len(heap) < _OPEN_PARTS)):
+            if waiting and (not heap or (waiting[-1][0] <= heap[0][0] and len(heap) < _OPEN_PARTS)):
                 _, number, offset, part = waiting.pop()
-                add(number, offset, self._run(number, part, topics, start_ns, end_ns))
-            if heap:
+                run = self._run(number, part, topics, start_ns, end_ns)
+            else:
                 _, number, offset, one, run = heapq.heappop(heap)
-                yield SourceMessage(
-                    self._names[number][one.channel_id], one.log_time, one.publish_time, one.data
-                )
-                add(number, offset, run)
+                name = self._names[number][one.channel_id]
+                yield SourceMessage(name, one.log_time, one.publish_time, one.data)
+            if (following := next(run, None)) is not None:  # equal times in the order of the file
+                heapq.heappush(heap, (following.log_time, number, offset, following, run))
 
     def _run(
         self, number: int, part: Part, topics: Collection[str], start_ns: int, end_ns: int
