@@ -31,7 +31,6 @@ _KEEP_LAST = 1
 _RELIABILITY = {"reliable": 1, "best_effort": 2}
 _DURABILITY = {"transient_local": 1, "volatile": 2}
 _AUTOMATIC = 1
-_UNSET = {"sec": 0, "nsec": 0}
 
 
 def qos_text(qos: Qos) -> str:
@@ -42,7 +41,7 @@ def qos_text(qos: Qos) -> str:
         "reliability": _RELIABILITY[qos.reliability],
         "durability": _DURABILITY[qos.durability],
         "deadline": _time(qos.deadline_ns),
-        "lifespan": _UNSET,
+        "lifespan": _time(qos.lifespan_ns),
         "liveliness": _AUTOMATIC if qos.lease_ns else 0,
         "liveliness_lease_duration": _time(qos.lease_ns),
         "avoid_ros_namespace_conventions": False,
