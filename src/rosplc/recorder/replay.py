@@ -576,10 +576,10 @@ class _Plan:
     owner: Rights = USUAL
 
     def bind(self, namespace: Namespace) -> Binding:
-        own = {"record_size": self.layout.size, "slots": self.slots, "rights": self.owner}
-        made = partial(OwnedChannel.open, namespace, self.description, **own)
+        about, size, slots, own = self.description, self.layout.size, self.slots, self.owner
+        made = partial(OwnedChannel.open, namespace, about, record_size=size, slots=slots, rights=own)
         codec, cut = Codec(self.layout, Wire.CDR), self.truncate
-        return Binding(self.description, codec, made, None, print=False, truncate=cut, every=False)
+        return Binding(about, codec, made, None, print=False, truncate=cut, every=False)
 
 
 def _with(store: TypeStore, own: TypeStore, type_name: str) -> TypeStore:
