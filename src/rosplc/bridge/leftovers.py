@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from rosplc.config.plans import ActionPlan, CallPlan
 from rosplc.config.resolve import Project, rights
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.layout import compute_layout
+from rosplc.proc import held_files, holder, name_of
 from rosplc.ros import Backend
 from rosplc.shm import ACTION, Description, Direction, Identity, OwnedChannel, Part, attach, open_object
 from rosplc.shm.files import NameLock
@@ -115,33 +115,17 @@ def _objects(project: Project) -> Iterator[_Name]:
 
 def _holder(project: Project, name: _Name, lock: Path) -> str:
     """Describe who holds a name's lock, as far as the kernel and the object tell."""
-    held = _locked_by(lock)
+    held = holder(lock, held_files())
     try:
         with attach(project.namespace, name[0], part=name[1], client=name[2]) as found:
             state = found.snapshot()
             to_plc = found.identity.direction is Direction.TO_PLC
             pid = state.writer.pid if to_plc else state.readers[0].pid
             # A container shows other numbers: without the kernel's word the object's is believed.
-            if held in (None, pid):
+            if held in (0, pid):
                 return f"bridge {found.description.bridge}, process {pid},"
     except (ChannelError, OSError):
         pass
-    if held is None:
+    if not held:
         return "another process"
-    command = ""
-    with suppress(OSError):
-        command = Path(f"/proc/{held}/comm").read_text(encoding="utf-8", errors="replace").strip()
-    return f"process {held}{f' ({command})' if command else ''}, which has not opened its object,"
-
-
-def _locked_by(path: Path) -> int | None:
-    """Return the process that holds a file's lock, by /proc/locks; None if that does not tell."""
-    try:
-        inode = path.stat().st_ino
-        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
-            fields = line.split()
-            if fields[1:2] == ["FLOCK"] and fields[5].rpartition(":")[2] == str(inode):
-                return int(fields[4]) if int(fields[4]) > 0 else None
-    except (OSError, ValueError, IndexError):
-        pass
-    return None
+    return f"process {held}{name_of(held)}, which has not opened its object,"

@@ -12,16 +12,17 @@ import errno
 import gc
 import os
 import resource
-import threading
+from pathlib import Path
 
 from rosplc.config.file import Config
 from rosplc.errors import SetupError
+from rosplc.proc import status_mask
 
 LOWEST_TASK_PRIORITY, HIGHEST_TASK_PRIORITY = 52, 67
 """SCHED_FIFO priorities of CODESYS' IEC tasks on Linux: 15, the lowest, to 0, the highest."""
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_CAP_IPC_LOCK = 14
+_CAP_IPC_LOCK, _STATUS = 14, Path("/proc/thread-self/status")
 _FULL_COLLECTION_S = 60
 
 
@@ -143,7 +144,7 @@ class Realtime:
         limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
         number = 0
         # Under a limit it would succeed now, and the first thread or buffer beyond it would fail later.
-        if limit == resource.RLIM_INFINITY or _has_capability(_CAP_IPC_LOCK):
+        if limit == resource.RLIM_INFINITY or status_mask(_STATUS, "CapEff") >> _CAP_IPC_LOCK & 1:
             # On fault: each thread's stack is megabytes of which it touches a few pages.
             library = ctypes.CDLL(None, use_errno=True)
             if library.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT):
@@ -163,14 +164,3 @@ class Realtime:
 
 def _in_words(limit: int) -> str:
     return "none" if limit == resource.RLIM_INFINITY else f"{limit // 1024} KiB"
-
-
-def _has_capability(number: int) -> bool:
-    try:
-        with open(f"/proc/self/task/{threading.get_native_id()}/status", encoding="ascii") as lines:  # noqa: PTH123
-            for line in lines:
-                if line.startswith("CapEff:"):
-                    return bool(int(line.split()[1], 16) >> number & 1)
-    except OSError:
-        pass
-    return False

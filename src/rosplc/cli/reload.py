@@ -19,9 +19,9 @@ from rosplc.cli.options import ConfigFile, Directory, config_file, default_confi
 from rosplc.cli.text import say
 from rosplc.cli.verb import verb
 from rosplc.config.resolve import load_project
-from rosplc.doctor.machine import status_mask
-from rosplc.doctor.objects import held_files, lock_holders
+from rosplc.doctor.objects import lock_holders
 from rosplc.errors import ChannelError, SetupError
+from rosplc.proc import held_files, status_mask
 
 
 @verb
@@ -36,7 +36,7 @@ def command(
     if prefix is None:
         settings = load_project(config_file(config or default_config())).config.settings
         prefix, directory = settings.prefix, settings.shm.directory
-    held = held_files(Path("/proc")) or {}
+    held = held_files() or {}
     pids = [pid for pid in lock_holders(Path(directory), prefix, held) if _handles_reload(pid)]
     if not pids:
         raise ChannelError(

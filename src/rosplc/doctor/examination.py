@@ -30,10 +30,11 @@ from rosplc.doctor.finding import Area, Finding, Level, Report, user_name
 from rosplc.doctor.graph import see_graph
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.network import Wish
-from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
+from rosplc.doctor.objects import Objects, is_held, look_at_objects
 from rosplc.errors import RosplcError
 from rosplc.harmless import plural
 from rosplc.plc.plan import ProjectOptions
+from rosplc.proc import held_files, status_mask
 from rosplc.project import call_memory, expected_files
 from rosplc.ros import ROS1
 from rosplc.shm import Part
@@ -229,7 +230,7 @@ class _Examination:
         yield from machine.architecture(platform.machine(), platform.release(), byte_order=sys.byteorder)
         yield from machine.clock(time.time())
         yield from machine.open_files(limit(resource.RLIMIT_NOFILE), len(self._topics))
-        held = machine.status_mask(self._proc / "self/status", "CapEff")
+        held = status_mask(self._proc / "self/status", "CapEff")
         yield from machine.real_time(limit(resource.RLIMIT_RTPRIO), limit(resource.RLIMIT_MEMLOCK), held)
 
     def _logout(self) -> Iterator[Finding]:

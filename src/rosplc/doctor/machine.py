@@ -84,12 +84,6 @@ def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding
     yield judged("DOC105", "" if may_run and may_lock else seen, well, remedy)
 
 
-def status_mask(status: Path, name: str) -> int:
-    """Return a mask in a process's ``status``, such as ``CapEff`` (proc(5)); 0 if it has none."""
-    found = re.search(rf"^{name}:\s*([0-9a-fA-F]+)", status.read_text("utf-8", "replace"), re.MULTILINE)
-    return int(found[1], 16) if found else 0
-
-
 def logout(root: Path, uid: int, user: str) -> Iterator[Finding]:
     """Judge whether systemd removes the bridge's objects when their owner logs out.
 

@@ -11,7 +11,6 @@ import os
 import stat
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
@@ -22,6 +21,7 @@ from rosplc.errors import ChannelError
 from rosplc.harmless import listed, plural
 from rosplc.layout import Layout
 from rosplc.monitor.tracked import WRITER, Peers, is_starting, process_words
+from rosplc.proc import Held, file_key, holder
 from rosplc.shm import Description, Direction, Identity, Namespace, Part, ReaderState, Region, Snapshot
 from rosplc.shm.constants import HEADER_SIZE, KIND_TOPIC
 from rosplc.shm.files import open_plain_file
@@ -30,9 +30,6 @@ from rosplc.shm.names import file_name
 _PAUSE_S = 0.05
 _LEAST_MS, _LEAST_UNHELD_S, _MOST_S = 667, 0.5, 3.5
 """Who promises to beat ten times a second may still not get to it on a machine with other work."""
-
-Held = Mapping[tuple[int, int, int], int]
-"""Locked files (device's major and minor number, inode) → the process that holds the lock."""
 
 
 @dataclass(frozen=True)
@@ -108,33 +105,10 @@ class _Image:
         return tuple(self.word(at) for at in range(offset, offset + 4 * count, 4))
 
 
-def held_files(proc: Path) -> Held | None:
-    """Return the files that processes hold an flock on; None if the kernel does not show them."""
-    try:
-        text = (proc / "locks").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return None
-    found = {}
-    for line in text.splitlines():
-        words = line.split()
-        if len(words) >= 6 and words[1] == "FLOCK":
-            major, minor, inode = words[5].split(":")
-            found[int(major, 16), int(minor, 16), int(inode)] = int(words[4])
-    return found
-
-
 def lock_holders(directory: Path, prefix: str, held: Held) -> list[int]:
     """Return the processes that hold the names of a prefix; those of other PID namespaces are left out."""
-    pids = set()
-    for path in directory.glob(f"{prefix}.l*.*"):
-        with suppress(OSError):
-            pids.add(held.get(_key(path), 0))
-    return sorted(pid for pid in pids if pid > 0)
-
-
-def _key(path: Path) -> tuple[int, int, int]:
-    status = path.lstat()
-    return os.major(status.st_dev), os.minor(status.st_dev), status.st_ino
+    pids = {holder(path, held) for path in directory.glob(f"{prefix}.l*.*")}
+    return sorted(pids - {0})
 
 
 def lock_of(path: Path) -> Path:
@@ -148,7 +122,7 @@ def is_held(path: Path, held: Held | None) -> bool | None:
     if held is None:
         return None
     try:
-        return _key(path) in held
+        return file_key(path) in held
     except OSError:
         return False
 

@@ -11,7 +11,6 @@ name, which a running bridge holds.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Any
 
 from rosplc.clock import SYSTEM, Clock
@@ -20,6 +19,7 @@ from rosplc.errors import ChannelError, LayoutError, WebError
 from rosplc.layout import Layout
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
+from rosplc.proc import name_of
 from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Region, Writer
 from rosplc.shm import attach as attach_object
 from rosplc.shm.constants import STAMP_SYSTEM
@@ -160,7 +160,7 @@ def write_message(
         record = bytes(layout.pack(from_form(form_of(layout), message, not_finite=not_finite)))
         writer = attached.snapshot().writer
         if writer.epoch:
-            who = f"process {writer.pid}{_name_of(writer.pid)}" if writer.pid else "a PLC program"
+            who = f"process {writer.pid}{name_of(writer.pid)}" if writer.pid else "a PLC program"
             raise _claimed(topic, who)
         if attached.identity.direction is Direction.TO_PLC:
             return _to_plc(namespace, attached, record, clock.time_ns())
@@ -172,14 +172,6 @@ def write_message(
 def _claimed(topic: str, who: str) -> WebError:
     remedy = f"Stop that writer. If it crashed, free its claim: `rosplc release {topic}`."
     return WebError("WEB010", f"{who} holds the writer's claim", where=topic, remedy=remedy)
-
-
-def _name_of(pid: int) -> str:
-    try:
-        name = Path(f"/proc/{pid}/comm").read_text(errors="replace").strip()
-    except OSError:
-        return ""
-    return f" ({name})"
 
 
 def _publish(region: Region, same_layout: bool, topic: str, record: bytes, stamp_ns: int) -> int:

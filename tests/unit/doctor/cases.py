@@ -34,9 +34,10 @@ from rosplc.doctor.examination import Probe, run_probe
 from rosplc.doctor.finding import Area
 from rosplc.doctor.graph import Graph
 from rosplc.doctor.network import Wish
-from rosplc.doctor.objects import Objects, held_files, look_at_objects
+from rosplc.doctor.objects import Objects, look_at_objects
 from rosplc.doctor.rights import File, Mount, find_runtimes
 from rosplc.errors import BackendError
+from rosplc.proc import held_files
 from rosplc.ros import EndpointInfo, GraphInfo, Qos
 from rosplc.shm import Direction, OwnedChannel
 from rosplc.shm.constants import IDENTITY

@@ -10,8 +10,9 @@ from pathlib import Path
 from rosplc.config.plans import ClassicPlan
 from rosplc.doctor import Level
 from rosplc.doctor.leftovers import locks, soundness
-from rosplc.doctor.objects import Objects, held_files, look_at_objects
+from rosplc.doctor.objects import Objects, look_at_objects
 from rosplc.errors import ChannelError
+from rosplc.proc import held_files
 from rosplc.shm import Direction, Namespace, attach
 from rosplc.shm.classic import Semaphore
 from tests.lib.channels import open_channel, start_child, until
