@@ -67,6 +67,11 @@ class SteppedClock:
         """Wait until the stepped time has come."""
         self.wait(threading.Event(), duration_ns)
 
+    @property
+    def waiting(self) -> int:
+        """How many threads wait for a time that has not come yet."""
+        return len(self._waiting)
+
     def until_waiting(self, threads: int = 1) -> None:
         """Return once so many threads wait for a time that has not come yet.
 
