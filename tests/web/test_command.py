@@ -105,7 +105,7 @@ def test_a_port_that_is_taken_is_said() -> None:
 
 def test_without_aiohttp_the_command_names_what_to_install(monkeypatch) -> None:
     """A missing extra is an error with the pip command."""
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "aiohttp", None)
     done = CliRunner().invoke(app, ["web"])
     assert done.exit_code == 1
     assert "SYS001" in done.stderr and "[views]'" in done.stderr

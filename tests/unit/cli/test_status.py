@@ -247,6 +247,6 @@ def _read(terminal):
 
 def test_top_names_the_package_that_is_missing(monkeypatch):
     """Without textual there is a pip command, and no traceback."""
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "textual", None)
     result = rosplc("top", code=1)
     assert "pip install " in result.output and "[views]" in result.output
