@@ -65,6 +65,7 @@ The PLC:
     call-blocks | blocks of services and actions follow their tables
     blocks-conform | the blocks in C and for OpenPLC behave as those of CODESYS
     openplc | topics and services cross between a bridge and OpenPLC Runtime 4.1.4, also after kills
+    beremiz | topics and services cross between a bridge and Beremiz' runtime, also after kills
     ros-blocks | blocks for logging, time, parameters and transforms exchange their data with a bridge
     fail-safe | stale topics get their safe value or substitute
     classic | classic topics work with existing projects
@@ -75,7 +76,7 @@ The PLC:
     example-cell | in the example cell nothing is done twice or lost
     codesys | CODESYS: compiler, development system, runtime \
 | its text is translated to C and executed; [what only CODESYS can tell](#what-only-codesys-can-tell)
-    beremiz | the runtimes of OpenPLC v3 and Beremiz | their compiler accepts the blocks
+    openplc-v3 | the runtime of OpenPLC v3 | its compiler accepts the blocks
 Tools and operation:
     configuration | a configuration error has its line; a reload applies completely or not at all
     views | views show the true state and change nothing

@@ -11,10 +11,11 @@ import os
 import random
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,8 +42,9 @@ pytestmark = [
 ]
 TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "openplc.md"
 QOS = Qos(reliability="reliable", durability="volatile", depth=200)
-# Two tasks; in the slower one the blocks and the message are retained.
-PROGRAM = """PROGRAM Fast
+# Two tasks; in the slower one the blocks and the message are retained. No program has the name of a task, which Beremiz'
+# C would not compile.
+PROGRAM = """PROGRAM Often
 VAR
     there : kinds_All_Read;
     back : kinds_All_Write;
@@ -57,7 +59,7 @@ WHILE more DO
 END_WHILE;
 back(sTopic := '/back', xEnable := FALSE);
 END_PROGRAM
-PROGRAM Slow
+PROGRAM Seldom
 VAR RETAIN
     there : kinds_All_Read;
     back : kinds_All_Write;
@@ -78,8 +80,8 @@ CONFIGURATION Config0
   RESOURCE Res0 ON PLC
     TASK fast(INTERVAL := T#10ms, PRIORITY := 2);
     TASK slow(INTERVAL := T#50ms, PRIORITY := 1);
-    PROGRAM instance0 WITH fast : Fast;
-    PROGRAM instance1 WITH slow : Slow;
+    PROGRAM instance0 WITH fast : Often;
+    PROGRAM instance1 WITH slow : Seldom;
   END_RESOURCE
 END_CONFIGURATION
 """
@@ -132,6 +134,11 @@ class Plc:
         if self._runtime is not None:
             self._runtime.kill()
             self._runtime = None
+
+    def restart(self) -> None:
+        """Stop the program, and start it."""
+        self.become("STOP", "STOPPED")
+        self.become("START", "RUNNING")
 
     def become(self, command: str, state: str) -> None:
         """Give a command until it is taken, and wait for the state."""
@@ -207,9 +214,9 @@ class Ros:
 
 
 class Cell:
-    """The runtime, a bridge and a ROS node."""
+    """A PLC's runtime, a bridge and a ROS node."""
 
-    def __init__(self, folder: Path, prefix: str, domain: int) -> None:
+    def __init__(self, folder: Path, prefix: str, domain: int, runtime: Callable[[Path], Any] = Plc) -> None:
         package = folder / "kinds" / "msg"
         package.mkdir(parents=True)
         (package / "Part.msg").write_text(PART)
@@ -230,16 +237,83 @@ class Cell:
         )
         self.project = load_project(self.path)
         (folder / "runtime").mkdir()
-        self.runtime = Plc(folder / "runtime")
+        self.runtime = runtime(folder / "runtime")
         self.bridge = Bridge(self.path, os.environ)
         self.ros = Ros(self.project, domain)
         self.fault = folder / "fault"
 
-    def begin(self, fault: bool = False) -> None:
-        self.runtime.load(self.project, PROGRAM, self.fault if fault else None)
+    def begin(self, **how: Path) -> None:
+        self.runtime.load(self.project, PROGRAM, **how)
         self.runtime.start()
         wait_for(self.ros.matched, "the bridge is seen")
         self.ros.until_back()
+
+    def restart_ten_times(self) -> None:
+        """Have messages cross on both ways between stops of the program."""
+        self.begin()
+        for _ in range(10):
+            self.ros.whole(50)
+            self.runtime.restart()
+            self.ros.until_back()
+        self.ros.whole(50)
+        print(self.ros.nothing_else())
+
+    def kill_three_times(self, who: str) -> None:
+        """Have messages cross on both ways between kills of a side."""
+        self.begin()
+        for _ in range(3):
+            self.ros.whole(20)
+            self.ros.send("")
+            if who == "runtime":
+                self.runtime.kill()
+                self.runtime.start()
+            else:
+                self.bridge.kill()
+                self.bridge = Bridge(self.path, os.environ)
+                wait_for(self.ros.matched, "the bridge is seen")
+            self.ros.until_back()
+        self.ros.whole(20)
+        print(self.ros.nothing_else())
+
+    def answer_calls(self) -> None:
+        """Have a ROS client call the PLC, and the PLC a ROS server, between stops of the program."""
+        store, node = self.project.store, self.ros.node
+        ask, answer = (
+            Codec(compute_layout(store, f"std_srvs/srv/SetBool_{part}"), Wire.CDR)
+            for part in ("Request", "Response")
+        )
+
+        def packed(codec: Codec, **values: object) -> bytes:
+            return codec.encode(bytes(codec.layout.pack(values)))
+
+        asked: list[bool] = []
+
+        def serve(request: bytes, caller: bytes, _: int) -> None:
+            data = ask.layout.view(bytearray(ask.decode(request))).data
+            asked.append(data)
+            server.reply(caller, packed(answer, success=not data, message="served by ROS"))
+
+        server = node.serve("/close", "std_srvs/srv/SetBool", SERVICES, serve)
+        client = node.client("/start", "std_srvs/srv/SetBool", SERVICES)
+        self.runtime.load(self.project, CALLS)
+        self.runtime.start()
+        wait_for(lambda: client.ready, "/start is seen")
+        calls = 0
+        for _ in range(3):
+            for _ in range(100):
+                calls += 1
+                replies: list[Reply] = []
+                client.call(packed(ask, data=calls % 3 == 0), replies.append)
+                wait_for(lambda replies=replies: replies, f"the end of call {calls}")
+                assert replies[0].payload is not None, (calls, replies[0])
+                got = answer.layout.view(bytearray(answer.decode(replies[0].payload)))
+                assert (got.success, got.message) == (calls % 3 == 0, "served by the PLC")
+            begun = len(asked)
+            self.runtime.restart()
+            wait_for(lambda begun=begun: len(asked) > begun + 20, "calls of the PLC")
+        # The PLC asks for the contrary of what it was told; what was under way at a STOP may be asked again.
+        assert sum(one == after for one, after in pairwise(asked)) <= 3
+        print(f"{calls} calls answered by the PLC, {len(asked)} by ROS")
 
     def close(self) -> None:
         self.runtime.kill()
@@ -259,19 +333,12 @@ def cell(tmp_path: Path, shm_namespace: Namespace) -> Iterator[Cell]:
 
 def test_messages_cross_ten_starts(cell: Cell) -> None:
     """Every kind of field crosses in both directions in two tasks; ten times the program stops and starts."""
-    cell.begin()
-    for _ in range(10):
-        cell.ros.whole(50)
-        cell.runtime.become("STOP", "STOPPED")
-        cell.runtime.become("START", "RUNNING")
-        cell.ros.until_back()
-    cell.ros.whole(50)
-    print(cell.ros.nothing_else())
+    cell.restart_ten_times()
 
 
 def test_a_fault_in_mid_copy(cell: Cell) -> None:
     """A task that a fault ends half-way through a message shows nobody half a message, and starts again."""
-    cell.begin(fault=True)
+    cell.begin(fault=cell.fault)
     for _ in range(3):
         cell.ros.whole(20)
         cell.fault.touch()
@@ -286,20 +353,7 @@ def test_a_fault_in_mid_copy(cell: Cell) -> None:
 @pytest.mark.parametrize("who", ["runtime", "bridge"])
 def test_either_side_is_killed(who: str, cell: Cell) -> None:
     """After SIGKILL and a new start messages cross as before; none comes wrong, twice or out of order."""
-    cell.begin()
-    for _ in range(3):
-        cell.ros.whole(20)
-        cell.ros.send("")
-        if who == "runtime":
-            cell.runtime.kill()
-            cell.runtime.start()
-        else:
-            cell.bridge.kill()
-            cell.bridge = Bridge(cell.path, os.environ)
-            wait_for(cell.ros.matched, "the bridge is seen")
-        cell.ros.until_back()
-    cell.ros.whole(20)
-    print(cell.ros.nothing_else())
+    cell.kill_three_times(who)
 
 
 def test_the_tutorials_program(tmp_path: Path, shm_namespace: Namespace) -> None:
@@ -337,41 +391,4 @@ def test_the_tutorials_program(tmp_path: Path, shm_namespace: Namespace) -> None
 
 def test_calls_are_answered(cell: Cell) -> None:
     """The PLC answers each call of a ROS client, and a ROS server each of the PLC, before and after STOPs."""
-    store, node = cell.project.store, cell.ros.node
-    ask, answer = (
-        Codec(compute_layout(store, f"std_srvs/srv/SetBool_{part}"), Wire.CDR)
-        for part in ("Request", "Response")
-    )
-
-    def packed(codec: Codec, **values: object) -> bytes:
-        return codec.encode(bytes(codec.layout.pack(values)))
-
-    asked: list[bool] = []
-
-    def serve(request: bytes, caller: bytes, _: int) -> None:
-        data = ask.layout.view(bytearray(ask.decode(request))).data
-        asked.append(data)
-        server.reply(caller, packed(answer, success=not data, message="served by ROS"))
-
-    server = node.serve("/close", "std_srvs/srv/SetBool", SERVICES, serve)
-    client = node.client("/start", "std_srvs/srv/SetBool", SERVICES)
-    cell.runtime.load(cell.project, CALLS)
-    cell.runtime.start()
-    wait_for(lambda: client.ready, "/start is seen")
-    calls = 0
-    for _ in range(3):
-        for _ in range(100):
-            calls += 1
-            replies: list[Reply] = []
-            client.call(packed(ask, data=calls % 3 == 0), replies.append)
-            wait_for(lambda replies=replies: replies, f"the end of call {calls}")
-            assert replies[0].payload is not None, (calls, replies[0])
-            got = answer.layout.view(bytearray(answer.decode(replies[0].payload)))
-            assert (got.success, got.message) == (calls % 3 == 0, "served by the PLC")
-        begun = len(asked)
-        cell.runtime.become("STOP", "STOPPED")
-        cell.runtime.become("START", "RUNNING")
-        wait_for(lambda begun=begun: len(asked) > begun + 20, "calls of the PLC")
-    # The PLC asks for the contrary of what it was told; what was under way at a STOP may be asked again.
-    assert sum(one == after for one, after in pairwise(asked)) <= 3
-    print(f"{calls} calls answered by the PLC, {len(asked)} by ROS")
+    cell.answer_calls()
