@@ -42,8 +42,8 @@ pytestmark = [
 ]
 TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "openplc.md"
 QOS = Qos(reliability="reliable", durability="volatile", depth=200)
-# Two tasks; in the slower one the blocks and the message are retained. No program has the name of a task, which Beremiz'
-# C would not compile.
+# Two tasks; in the slower one the blocks and the message are retained. No program has the name of a task,
+# which matiec's C would not compile.
 PROGRAM = """PROGRAM Often
 VAR
     there : kinds_All_Read;
