@@ -268,8 +268,8 @@ class ReadBlock(Block):
 
     Args:
         topic: The topic as ROS writes it.
-        layout: The compiled-in layout, as a PLC has it: an object with another one is refused with error
-            112. None takes the object's own description.
+        layout: The compiled-in layout, as a PLC has it: an object with another one is refused (error 112).
+            None takes the object's own description.
         prefix: The bridge's ``prefix:``.
         directory: Where the objects stand.
         stale_after: Seconds without a new message after which ``xStale`` is set; None: never.
