@@ -44,7 +44,7 @@ def find_openplc() -> tuple[Path, Path]:
             raise SetupError("SYS001", f"{program} is missing", remedy=f"sudo apt-get install {package}")
     if Runtime.ask("STATUS"):
         what = "another OpenPLC runtime is running"
-        raise SetupError("SYS002", what, where=str(RUN), remedy="End it: a machine can have one.")
+        raise SetupError("SYS002", what, where=str(RUN), remedy="End it: only one can run on a machine.")
     openplc, strucpp = (Path(os.environ[variable]).resolve() for variable in _BUILT)
     return openplc, strucpp
 
