@@ -78,7 +78,7 @@ def parse_interface(
             f"{name}_{part}", own, where=where, ros_version=ros_version, siblings=siblings
         )
         if others:
-            raise MessageTypeError("TYP002", "it cannot contain definitions of other types", where=others[0].where)
+            raise MessageTypeError("TYP002", "it cannot define other types", where=others[0].where)
         found.append(parsed)
     return found
 
