@@ -6,9 +6,10 @@ import hashlib
 import os
 import subprocess
 import sys
-import tarfile
 import tempfile
 from pathlib import Path
+
+from tests.lib.archives import unpack
 
 __all__ = ["OLD", "old_release"]
 
@@ -25,8 +26,7 @@ def old_release() -> Path:
     if not place.exists():
         _CACHE.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=_CACHE) as folder:
-            with tarfile.open(archive) as sources:
-                sources.extractall(folder, filter="data")
+            unpack(archive, Path(folder))
             root = Path(folder) / f"rosplc-{OLD}"
             build = [sys.executable, "setup.py", "-q", "build_ext", "--inplace"]
             subprocess.run(build, cwd=root, check=True, capture_output=True)

@@ -18,6 +18,7 @@ import rosplc
 from deploy.wheel import PIP, copy_source
 from rosplc.demo.plan import FreeDomain
 from rosplc.shm import Namespace
+from tests.lib.archives import unpack
 
 pytestmark = pytest.mark.verifies("pip", real="pip")
 
@@ -47,8 +48,7 @@ def build(folder: Path) -> tuple[Path, Path]:
     program = f"import setuptools.build_meta as backend; backend.build_sdist({str(made)!r})"
     run(sys.executable, "-c", program, cwd=copy_source(folder / "source"))
     (sources,) = made.iterdir()
-    with tarfile.open(sources) as archive:
-        archive.extractall(folder, filter="data")
+    unpack(sources, folder)
     options = ("--no-deps", "--no-build-isolation", "--wheel-dir", str(made))
     run(*PIP, "wheel", *options, ".", cwd=folder / f"rosplc-{rosplc.__version__}")
     (wheel,) = made.glob("*.whl")

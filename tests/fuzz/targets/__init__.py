@@ -73,7 +73,6 @@ TARGETS: dict[str, Entry] = {
         "ROS 1: connection headers, definitions in them, answers and calls of nodes and masters",
         "ros1",
         ("rosplc.ros.rospy", "rosplc.model"),
-        needs=("rospy", "Debian package python3-rospy is missing"),
     ),
     "zenoh": Entry("Zenoh: liveliness tokens, attachments, samples", "zenoh", ("rosplc.ros",), 2048, _ZENOH),
     "dds": Entry(
