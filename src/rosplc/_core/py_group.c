@@ -18,6 +18,17 @@
 #define REJECTED_LOOKS 16u
 /* Messages of a channel after which other threads, which beat, may have the GIL. */
 #define OTHERS_TURN 64u
+/* Heads that are on their way from memory while one is compared. */
+#define AHEAD 16
+
+/* What a look needs of an entry, in a table of its own: `head` is in another page for each, and these loads must not
+ * wait for each other. */
+typedef struct {
+    const uint32_t *head; /* of the entry's reader, whose mapping is pinned; else NO_HEAD */
+    uint32_t quiet;       /* a value of head under which there is nothing to take */
+} Watch;
+
+static const uint32_t NO_HEAD;
 
 typedef struct {
     ReaderObject *reader; /* either this */
@@ -37,6 +48,7 @@ typedef struct {
     pthread_mutex_t mutex;
     int mutex_ready;
     Entry *entries;
+    Watch *watches; /* one for each entry */
     Py_ssize_t count, room;
     uint8_t *wire; /* scratch for one message */
     size_t wire_size;
@@ -76,6 +88,7 @@ static void group_drop(GroupObject *self, Py_ssize_t index)
     pthread_mutex_lock(&self->mutex);
     entry = self->entries[index];
     self->entries[index] = (Entry){0};
+    self->watches[index] = (Watch){&NO_HEAD, 0};
     pthread_mutex_unlock(&self->mutex);
     if (entry.reader)
         ch_region_unpin(entry.reader->owner);
@@ -93,6 +106,7 @@ static void group_dealloc(GroupObject *self)
     for (Py_ssize_t i = 0; i < self->count; i++)
         group_drop(self, i);
     PyMem_Free(self->entries);
+    PyMem_Free(self->watches);
     PyMem_Free(self->wire);
     if (self->mutex_ready)
         pthread_mutex_destroy(&self->mutex);
@@ -108,23 +122,32 @@ static PyObject *group_add(GroupObject *self, Entry entry)
         index++;
     if (index == self->room) {
         Py_ssize_t room = self->room ? 2 * self->room : 16;
-        Entry *grown = PyMem_Calloc((size_t)room, sizeof *grown);
-        Entry *old = self->entries;
-        if (!grown)
+        Entry *grown = PyMem_Calloc((size_t)room, sizeof *grown), *old = self->entries;
+        Watch *more = PyMem_Calloc((size_t)room, sizeof *more), *before = self->watches;
+        if (!grown || !more) {
+            PyMem_Free(grown);
+            PyMem_Free(more);
             return PyErr_NoMemory();
-        if (old)
-            memcpy(grown, old, (size_t)self->count * sizeof *grown);
+        }
         pthread_mutex_lock(&self->mutex);
+        if (old) {
+            memcpy(grown, old, (size_t)self->count * sizeof *grown);
+            memcpy(more, before, (size_t)self->count * sizeof *more);
+        }
         self->entries = grown;
+        self->watches = more;
         self->room = room;
         pthread_mutex_unlock(&self->mutex);
         PyMem_Free(old);
+        PyMem_Free(before);
     }
     Py_INCREF(entry.reader ? (PyObject *)entry.reader : (PyObject *)entry.writer);
     Py_XINCREF(entry.plan_object);
     ch_region_pin(entry.reader ? entry.reader->owner : entry.writer->owner);
     pthread_mutex_lock(&self->mutex);
     self->entries[index] = entry;
+    self->watches[index].head = entry.reader ? &entry.reader->owner->region.header->writer.head : &NO_HEAD;
+    self->watches[index].quiet = 0;
     if (index == self->count)
         self->count++;
     pthread_mutex_unlock(&self->mutex);
@@ -221,24 +244,37 @@ static PyObject *group_divert(GroupObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
+/* Whether a channel whose head has changed has news. */
+static int entry_news(Entry *entry, Watch *watch)
+{
+    uint32_t head = rosplc_load(watch->head);
+    if (entry->broken || entry->reader->owner->closed) {
+        watch->quiet = head;
+        return 0;
+    }
+    if (!rosplc_is_new(&entry->reader->reader, head)) {
+        /* Holds while only this group takes: with mode 2 the reader's owner does. */
+        watch->quiet = entry->mode == ROSPLC_TAKE_PEEK ? 0 : head;
+        return 0;
+    }
+    if (head == entry->rejected && entry->looks) {
+        entry->looks--;
+        return 0;
+    }
+    return 1;
+}
+
 /* One look at all heads. */
 static Py_ssize_t group_look(GroupObject *self)
 {
     Py_ssize_t news = 0;
     pthread_mutex_lock(&self->mutex);
     for (Py_ssize_t i = 0; i < self->count; i++) {
-        Entry *entry = &self->entries[i];
-        uint32_t head;
-        if (!entry->reader || entry->broken || entry->reader->owner->closed)
-            continue;
-        head = rosplc_load(&entry->reader->owner->region.header->writer.head);
-        if (!rosplc_is_new(&entry->reader->reader, head))
-            continue;
-        if (head == entry->rejected && entry->looks) {
-            entry->looks--;
-            continue;
-        }
-        news++;
+        Watch *watch = &self->watches[i];
+        if (i + AHEAD < self->count)
+            __builtin_prefetch(watch[AHEAD].head);
+        if (rosplc_load(watch->head) != watch->quiet)
+            news += entry_news(&self->entries[i], watch);
     }
     pthread_mutex_unlock(&self->mutex);
     return news;
@@ -389,10 +425,13 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
 static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages, PyObject *faults)
 {
     Entry *entry = &self->entries[index];
+    Watch *watch = &self->watches[index];
     ReaderObject *reader;
     uint32_t limit;
     int error, taken = 1;
-    if (!entry->reader || entry->broken || entry->reader->owner->closed || !rosplc_reader_news(&entry->reader->reader))
+    if (rosplc_load(watch->head) == watch->quiet) /* as most are, and free entries */
+        return 0;
+    if (entry->broken || entry->reader->owner->closed || !rosplc_reader_news(&entry->reader->reader))
         return 0;
     error = rosplc_region_check(&entry->reader->owner->region);
     if (error) {
@@ -402,6 +441,7 @@ static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages,
     }
     reader = entry->reader;
     limit = entry->limit;
+    watch->quiet = 0; /* what was no news may be some once another message is the last one taken */
     Py_INCREF((PyObject *)reader);
     for (uint32_t i = 0; i < limit && taken == 1; i++) {
         if (i && i % OTHERS_TURN == 0) { /* a long queue goes into a sink without any Python in between */
