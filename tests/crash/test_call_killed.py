@@ -17,7 +17,7 @@ import pytest
 
 from rosplc.shm import Answerer, Caller, Namespace, Part, attach
 from rosplc.shm import constants as spec
-from tests.lib.channels import open_service, pattern, start_child, until
+from tests.lib.channels import acting_reader, open_service, pattern, start_child, until
 
 pytestmark = pytest.mark.verifies("calls-once", own="kills at each step")
 
@@ -26,7 +26,7 @@ import os, signal, sys, time
 from functools import partial
 from rosplc.shm import Answerer, Caller, Namespace, Part, Reader, attach
 from rosplc.shm import constants as spec
-from tests.lib.channels import open_service, pattern
+from tests.lib.channels import acting_reader, open_service, pattern
 prefix, server, step, number, path, sabotage = sys.argv[1:]
 namespace, calls = Namespace(prefix), 0
 file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
@@ -52,7 +52,7 @@ if server == "plc":
     asks = attach(namespace, "/add", part=Part.REQUEST, write=True)
     answers = attach(namespace, "/add", part=Part.RESPONSE, write=True)
     writer = answers.writer(beat_ms=50)
-    reader = asks.acting_reader(beat_ms=50)
+    reader = acting_reader(asks, beat_ms=50)
     if sabotage == "last := 0":
         reader = Reader(asks.region, 0)
         reader.claim(0, asks.region.word(spec.reader_line(0)), 50, "")
@@ -177,7 +177,7 @@ class _Calls:
             self.child = self._start("", 0)
             self.asks = attach(namespace, "/add", part=Part.REQUEST, write=True)  # type: ignore[assignment]
             self.answers = attach(namespace, "/add", part=Part.RESPONSE, write=True)  # type: ignore[assignment]
-            self.writer, self.reader = self.asks.writer(), self.answers.acting_reader()  # type: ignore[attr-defined]
+            self.writer, self.reader = self.asks.writer(), acting_reader(self.answers)  # type: ignore[attr-defined]
         self.caller = Caller(self.asks, self.writer, follows_claim=server == "plc")
         self.told: dict[int, int] = {}
 
@@ -302,7 +302,7 @@ class _Server:
     def __init__(self, namespace: Namespace) -> None:
         self.asks = attach(namespace, "/add", part=Part.REQUEST, write=True)
         self.answers = attach(namespace, "/add", part=Part.RESPONSE, write=True)
-        self.writer, self.reader = self.answers.writer(), self.asks.acting_reader()
+        self.writer, self.reader = self.answers.writer(), acting_reader(self.asks)
         self.answerer = Answerer(self.asks, self.reader, self.answers)
         self.executed: list[int] = []
 

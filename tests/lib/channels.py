@@ -6,18 +6,54 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from rosplc.shm import SERVICE, Description, Direction, Namespace, OwnedChannel
+from rosplc.errors import ChannelError
+from rosplc.shm import (
+    SERVICE,
+    Attached,
+    Description,
+    Direction,
+    Namespace,
+    OwnedChannel,
+    Part,
+    Reader,
+    ReaderClaim,
+)
 from tests.lib.waiting import WATCHDOG_S
 
-__all__ = ["LAYOUT", "describe", "is_torn", "open_channel", "open_service", "pattern", "start_child", "until"]
+__all__ = [
+    "LAYOUT",
+    "acting_reader",
+    "describe",
+    "is_torn",
+    "open_channel",
+    "open_service",
+    "pattern",
+    "start_child",
+    "until",
+]
 
 LAYOUT = "0123456789abcdef"
 _ROOT = Path(__file__).resolve().parents[2]
+
+
+def acting_reader(attached: Attached, task: str = "", *, beat_ms: int = 1000) -> Reader:
+    """Return the PLC's reader of a service's or action's object; SHM114 if another one lives on."""
+    reader = attached.reader()
+    answer = Part(attached.identity.kind).asks
+    claim = ReaderClaim(attached.region, reader, beat_ms, task, range(1), answer=answer)
+    began = now = time.monotonic_ns()
+    while not claim.attempt(now):
+        if now - began > claim.patience_ns() + 10_000_000:
+            raise ChannelError("SHM114", "another program has the line", where=str(attached.path))
+        time.sleep(0.005)
+        now = time.monotonic_ns()
+    return reader
 
 
 def describe(

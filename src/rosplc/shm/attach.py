@@ -366,33 +366,15 @@ class Attached(Mapped):
         self._users.append(reader)
         return reader
 
-    def acting_reader(self, task: str = "", *, beat_ms: int = 1000) -> Reader:
-        """Return the reader of a service's or action's object that acts on its messages (section 11.1).
-
-        Raises ChannelError: SHM114 if another one lives; SHM110 if the bridge acts on them; SHM122; SHM111.
-        """
-        if self.identity.direction is not Direction.TO_PLC:
-            raise channel_error(110, "only the bridge acts on what the PLC writes", self.path)
-        self.valid()
-        reader = Reader(self.region, start_of(self.region, latched=False))
-        answer = Part(self.identity.kind).asks
-        if not self._claim_line(reader, beat_ms, task, range(1), answer=answer):
-            raise channel_error(114, where=self.path)
-        self._users.append(reader)
-        return reader
-
-    def _claim_line(
-        self, reader: Reader, beat_ms: int, task: str, lines: range, *, answer: bool = False
-    ) -> bool:
+    def _claim_line(self, reader: Reader, beat_ms: int, task: str, lines: range) -> None:
         self._writable()
-        claim = ReaderClaim(self.region, reader, beat_ms, task, lines, answer=answer)
+        claim = ReaderClaim(self.region, reader, beat_ms, task, lines)
         began = now = time.monotonic_ns()
         most = claim.patience_ns() + 2 * _LOOK_NS
         # The end counts from the first look: a process that was held up in between looks once more.
-        while not (claimed := claim.attempt(now)) and now - began < most:
+        while not claim.attempt(now) and now - began < most:
             time.sleep(_LOOK_NS / 1e9)
             now = time.monotonic_ns()
-        return claimed
 
     def writer_claim(self, beat_ms: int = 1000) -> WriterClaim:
         """Return an attempt to become the writer, for callers that must not wait.

@@ -38,6 +38,7 @@ from rosplc.shm.constants import (
     GOAL_ID_END,
     WRITER_LINE,
 )
+from tests.lib.channels import acting_reader
 from tests.lib.clock import SteppedClock
 from tests.unit.bridge.conftest import MESSAGES
 
@@ -88,7 +89,7 @@ class Plc:
         self.plan, self.beats = cell.plan, True
         self.writer = self.objects[Part.GOAL].writer(100)
         self.readers = {
-            part: self.objects[part].acting_reader("Task", beat_ms=100)
+            part: acting_reader(self.objects[part], "Task", beat_ms=100)
             for part in (Part.RESULT, Part.FEEDBACK)
         }
         self.caller = Caller(self.objects[Part.GOAL], self.writer, follows_claim=False)

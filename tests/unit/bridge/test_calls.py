@@ -47,6 +47,7 @@ from rosplc.shm.constants import (
     WRITER_LINE,
     reader_line,
 )
+from tests.lib.channels import acting_reader
 from tests.lib.clock import SteppedClock
 
 STORE = TypeStore.bundled("jazzy")
@@ -131,7 +132,7 @@ class Plc:
         self.objects: dict[Part, Attached] = opened
         self.serves = cell.server == "plc"
         taken, sent = (Part.REQUEST, Part.RESPONSE) if self.serves else (Part.RESPONSE, Part.REQUEST)
-        self.reader: Reader = opened[taken].acting_reader("Task", beat_ms=100)
+        self.reader: Reader = acting_reader(opened[taken], "Task", beat_ms=100)
         self.writer: Writer = opened[sent].writer(100)
         self.layouts = {Part.REQUEST: cell.use.plan.request, Part.RESPONSE: cell.use.plan.response}
         self._record = bytearray(self.layouts[taken].size)

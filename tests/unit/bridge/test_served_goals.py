@@ -38,6 +38,7 @@ from rosplc.shm.constants import (
     ASK_WITHDRAWN,
     WRITER_LINE,
 )
+from tests.lib.channels import acting_reader
 from tests.lib.clock import SteppedClock
 from tests.unit.bridge.conftest import MESSAGES
 
@@ -138,7 +139,7 @@ class Plc:
 
     def __init__(self, cell: Cell) -> None:
         self.objects = {part: attach(cell.namespace, "/a", write=True, part=part) for part in ACTION}
-        self.reader = self.objects[Part.GOAL].acting_reader("Task", beat_ms=100)
+        self.reader = acting_reader(self.objects[Part.GOAL], "Task", beat_ms=100)
         self.writers = {part: self.objects[part].writer(100) for part in (Part.RESULT, Part.FEEDBACK)}
         self.answerer = Answerer(self.objects[Part.GOAL], self.reader, self.objects[Part.RESULT])
         self._plan = cell.plan

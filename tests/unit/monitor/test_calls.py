@@ -18,6 +18,7 @@ from rosplc.shm import constants as spec
 from rosplc.shm.calls import WORDS
 from tests.channels import layout_of
 from tests.command import rosplc
+from tests.lib.channels import acting_reader
 
 TYPES = {
     Part.REQUEST: "std_srvs/srv/SetBool_Request",
@@ -48,7 +49,7 @@ class Use:
             self.stack.enter_context(channel)
             bridge_writes = part.direction(server) == 1
             writer = channel.writer(100) if bridge_writes else plc.writer(100)
-            reader = plc.acting_reader("Task", beat_ms=100) if bridge_writes else channel.reader(100)
+            reader = acting_reader(plc, "Task", beat_ms=100) if bridge_writes else channel.reader(100)
             maps[part] = channel if bridge_writes else plc
             self.writers[part] = writer
             self.users += [writer, reader]
