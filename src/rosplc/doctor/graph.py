@@ -200,31 +200,28 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
     killed.
     """
     command = [sys.executable, "-c", _PROGRAM, str(config), str(seconds)]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, env=dict(variables)
-    )
+    own, most = dict(variables), seconds + _START_S
     try:
-        out, noise = process.communicate(timeout=seconds + _START_S)
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, env=own, timeout=most, check=False
+        )
     except subprocess.TimeoutExpired:
-        raise TimeoutError(f"the look at the graph did not end within {seconds + _START_S:g} s") from None
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.communicate()
-    lines = noise.decode("utf-8", "replace").strip().splitlines()
+        raise TimeoutError(f"the look at the graph did not end within {most:g} s") from None
+    lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
     words = lines[-1].strip()[:_LONGEST_WORDS] if lines else ""
     try:
         # Written by this module, in a process of our own; a library may have printed something before it.
-        answer = pickle.loads(base64.b64decode(out.rpartition(b"\n")[2], validate=True))
+        answer = pickle.loads(base64.b64decode(done.stdout.rpartition(b"\n")[2], validate=True))
     except (ValueError, EOFError, pickle.UnpicklingError):
-        what = f"the look at the graph ended with status {process.returncode}: {words or 'it said nothing'}"
+        what = f"the look at the graph ended with status {done.returncode}: {words or 'it said nothing'}"
         raise BackendError("ROS002", what) from None
-    if isinstance(answer, Graph):
-        return answer
-    # What the library wrote would otherwise be lost with the process.
-    library = f" (the library: {words})" if words and answer["code"] == "ROS002" else ""
-    what = f"{answer['what']}{library}"
-    raise BackendError(answer["code"], what, where=answer["where"], remedy=answer["remedy"])
+    if isinstance(answer, RosplcError):
+        if words and answer.code == "ROS002":  # what the library wrote would be lost with the process
+            what = f"{answer.what} (the library: {words})"
+            answer = BackendError(answer.code, what, where=answer.where, remedy=answer.remedy)
+        raise answer
+    assert isinstance(answer, Graph)
+    return answer
 
 
 def _look(project: Project, seconds: float) -> Graph:
@@ -258,14 +255,14 @@ def _look(project: Project, seconds: float) -> Graph:
 
 
 def main() -> None:
-    """Write what is seen, or the error as plain data, to stdout."""
+    """Write what is seen, or the error, to stdout."""
     # Libraries write to stdout as they like; the answer goes to where stdout was.
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     try:
-        seen: Graph | dict[str, str] = _look(load_project(sys.argv[1]), float(sys.argv[2]))
+        seen: Graph | RosplcError = _look(load_project(sys.argv[1]), float(sys.argv[2]))
     except RosplcError as error:
-        seen = error.to_dict()
+        seen = error
     answer.write(b"\n" + base64.b64encode(pickle.dumps(seen)))
     answer.flush()
     # Threads of a middleware may be in the way of an ordinary end.
