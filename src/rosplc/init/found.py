@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, StringType, TypeStore
-from rosplc.model.types import PRIMITIVES
 from rosplc.ros import Qos
+from rosplc.ros.fields import Reader
 
 _MOST_VISITS = 100_000
 """Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
@@ -83,10 +83,10 @@ class Meter:
             seen.rate_hz = (self._regular - 1) / lasted if lasted > 0 else 0.0
         lengths: dict[str, Length] = {}
         try:
-            _Walk(self._store, data, lengths).message(self._type_name)
+            _Walk(self._store, data, lengths).measure(self._type_name)
         except _TooMuchError:
             pass
-        except ValueError:
+        except (ValueError, IndexError, struct.error):
             seen.unreadable += 1
             return
         seen.messages += 1
@@ -106,68 +106,56 @@ class _TooMuchError(Exception):
     """The message has more values than are looked at."""
 
 
-class _Walk:
+class _Walk(Reader):
+    """Measures what it goes through, and reads nothing but lengths."""
+
     def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length]) -> None:
+        if store.ros_version == 2 and data[:2] not in (b"\0\0", b"\0\1"):
+            raise ValueError("no plain CDR")
+        super().__init__(store, data)
         self._lengths = lengths
-        self._store = store
-        self._cdr = cdr = store.ros_version == 2
-        self._at = 0
         self._visits = 0
-        self._order = "<"
-        self._data = memoryview(data)
-        if cdr:
-            if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-                raise ValueError("no plain CDR")
-            self._order = "<" if data[1] else ">"
-            self._data = self._data[4:]
 
-    def message(self, type_name: str, path: str = "") -> None:
+    def measure(self, type_name: str, path: str = "") -> None:
         fields = self._store[type_name].fields
-        if not fields and self._cdr:
-            self._skip(1, 1)  # rosidl gives a message without fields one dummy byte
+        if not fields and not self._ros1:
+            self._pass("uint8", 1)  # rosidl gives a message without fields one dummy byte
         for each in fields:
-            self._value(each.type, f"{path}{each.name}")
+            self._visit(each.type, f"{path}{each.name}")
 
-    def _value(self, kind: FieldType, path: str) -> None:
+    def _visit(self, kind: FieldType, path: str) -> None:
         self._visits += 1
         if self._visits > _MOST_VISITS:
             raise _TooMuchError
         if isinstance(kind, PrimitiveType):
-            self._skip(PRIMITIVES[kind.name], 1)
+            self._pass(kind.name, 1)
         elif isinstance(kind, NamedType):
-            self.message(kind.name, f"{path}.")
+            self.measure(kind.name, f"{path}.")
         elif isinstance(kind, ArrayType):
             self._elements(kind.element, kind.length, path)
         elif isinstance(kind, StringType):
-            self._skip(1, length := self._count())
-            self._note(path, max(0, length - self._cdr))  # some peers send an empty one without its NUL
+            self._pass("uint8", length := self._count())
+            # Some peers send an empty one without its NUL.
+            self._note(path, length if self._ros1 else max(0, length - 1))
         else:
             count = self._count()
             # An element may take no byte at all: ROS 1's std_msgs/Empty.
-            may_be_empty = not self._cdr and isinstance(kind.element, NamedType)
-            if count > len(self._data) - self._at and not may_be_empty:
+            may_be_empty = self._ros1 and isinstance(kind.element, NamedType)
+            if count > len(self._body) - self._at and not may_be_empty:
                 raise ValueError("a sequence is longer than the message")
             self._note(path, count)
             self._elements(kind.element, count, path)
 
     def _elements(self, kind: FieldType, count: int, path: str) -> None:
         if isinstance(kind, PrimitiveType):
-            if count:
-                self._skip(PRIMITIVES[kind.name], count)
+            self._pass(kind.name, count)
             return
         for _ in range(count):
-            self._value(kind, f"{path}[]")
+            self._visit(kind, f"{path}[]")
 
-    def _count(self) -> int:
-        self._skip(4, 1)
-        (number,) = struct.unpack_from(f"{self._order}I", self._data, self._at - 4)
-        return int(number)
-
-    def _skip(self, size: int, count: int) -> None:
-        if self._cdr:
-            self._at += -self._at % size
-        self._at += size * count
-        if self._at > len(self._data):
+    def _pass(self, name: str, count: int) -> None:
+        self._skip(name, count)
+        if self._at > len(self._body):
             raise ValueError("the message ends too early")
 
     def _note(self, path: str, length: int) -> None:

@@ -24,7 +24,7 @@ def unpack_first(
 ) -> tuple[dict[str, Any], bytes]:
     """Return so many fields of a message as :func:`unpack`, and the bytes behind them."""
     try:
-        reader = _Reader(store, payload)
+        reader = Reader(store, payload)
         return reader.message(type_name, count), reader.rest()
     except (struct.error, IndexError) as error:
         raise BackendError("ROS008", f"a {type_name} cannot be read: {error}") from error
@@ -65,7 +65,9 @@ def time(ns: int) -> dict[str, int]:
     return {"sec": (ns // 10**9 + 2**31) % 2**32 - 2**31, "nanosec": ns % 10**9}
 
 
-class _Reader:
+class Reader:
+    """A place in a message, from its beginning on; struct.error or IndexError where the bytes do not fit."""
+
     def __init__(self, store: TypeStore, payload: bytes) -> None:
         self._store, self._at = store, 0
         self._ros1 = store.ros_version == 1
@@ -73,17 +75,19 @@ class _Reader:
         self._order = "<" if self._ros1 or payload[1] & 1 else ">"
 
     def message(self, name: str, count: int | None = None) -> dict[str, Any]:
+        """Return so many fields of a message, None: all."""
         fields = self._store[name].fields
         if not fields and not self._ros1:
             self._numbers("uint8", 1)  # CDR has no empty structures
         return {field.name: self._value(field.type) for field in fields[:count]}
 
     def rest(self) -> bytes:
+        """Return the bytes behind what was read."""
         return bytes(self._body[self._at :])
 
     def _value(self, kind: FieldType) -> Any:
         if isinstance(kind, SequenceType | ArrayType):
-            count = kind.length if isinstance(kind, ArrayType) else self._numbers("uint32", 1)[0]
+            count = kind.length if isinstance(kind, ArrayType) else self._count()
             if isinstance(kind, SequenceType) and count > len(self._body):
                 raise IndexError(f"{count} elements")  # those without a size would be counted without end
             return self._values(kind.element, count)
@@ -94,16 +98,24 @@ class _Reader:
             return self._numbers(kind.name, count)
         if isinstance(kind, NamedType):
             return [self.message(kind.name) for _ in range(count)]
-        texts = (self._numbers("uint8", *self._numbers("uint32", 1)) for _ in range(count))
+        texts = (self._numbers("uint8", self._count()) for _ in range(count))
         end = b"" if self._ros1 else b"\0"
         return [text.removesuffix(end).decode(errors="surrogateescape") for text in texts]
 
+    def _count(self) -> int:
+        return int(self._numbers("uint32", 1)[0])
+
+    def _skip(self, name: str, count: int) -> int:
+        """Go on behind some numbers, and return where they begin."""
+        width = PRIMITIVES[name]
+        at = self._at + (-self._at % width if count and not self._ros1 else 0)
+        self._at = at + count * width
+        return at
+
     def _numbers(self, name: str, count: int) -> Any:
-        width, letter = PRIMITIVES[name], FORMATS[name]
-        self._at += -self._at % width if count and not self._ros1 else 0
+        letter = FORMATS[name]
         layout = f"{count}s" if letter == "B" else f"{self._order}{count}{letter}"
-        found = struct.unpack_from(layout, self._body, self._at)
-        self._at += count * width
+        found = struct.unpack_from(layout, self._body, self._skip(name, count))
         return found[0] if letter == "B" else list(found)
 
 
