@@ -31,7 +31,7 @@ from typing import Any, Literal
 import typer
 
 from rosplc.cli.options import duration, parsed
-from rosplc.cli.text import print_json, say, table, warn
+from rosplc.cli.text import ProgressLine, print_json, say, table, warn
 from rosplc.cli.verb import verb
 from rosplc.config import Config
 from rosplc.harmless import plural
@@ -120,7 +120,11 @@ def command(
             wishes = _ask_topics(found)
         everything = everything or (yes and not wishes)
         chosen, left_out = parsed(lambda _: select(found, wishes, everything=everything), "", "--topics")
-        made = draft(source, chosen, seconds=listen_s, progress=_progress(quiet=as_json))
+        if listen_s and not (as_json or bag):
+            warn(f"Listening for {listen} …")
+        line = ProgressLine(quiet=as_json)
+        made = draft(source, chosen, seconds=listen_s, progress=lambda words: line.show(lambda: words))
+        line.clear()
         if not made.entries:
             reasons = "; ".join(f"{name}: {why}" for name, why in {**left_out, **made.left_out}.items())
             what = f"nothing is left to carry{f' ({reasons})' if reasons else ''}"
@@ -157,24 +161,6 @@ def _seconds(text: str, option: str) -> float:
     return 0.0 if text.strip() in ("0", "0s") else duration(text.strip(), option) / 1e9
 
 
-def _progress(*, quiet: bool) -> Callable[[str], None]:
-    """Return what shows how far it is: a line that changes on a terminal, else one line."""
-    shown = False
-
-    def show(words: str) -> None:
-        nonlocal shown
-        if quiet:
-            return
-        if sys.stderr.isatty():
-            sys.stderr.write(f"\r\x1b[K{words} … ")
-            sys.stderr.flush()
-        elif not shown:
-            warn(f"{words} …")
-        shown = True
-
-    return show
-
-
 def _list(source: Source) -> None:
     def short(names: tuple[str, ...]) -> str:
         text = ", ".join(names) or "-"
@@ -200,8 +186,6 @@ def _list(source: Source) -> None:
 def _tell(
     source: Source, made: Draft, left_out: dict[str, str], output: Path, files: tuple[Path, ...]
 ) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
     found = []
     for entry in made.entries:
         seen = made.seen.get(entry.topic)
