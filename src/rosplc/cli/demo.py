@@ -39,7 +39,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rosplc.cli.options import duration as duration_ns
-from rosplc.cli.text import print_json, say, table
+from rosplc.cli.text import ProgressLine, print_json, say, table
 from rosplc.cli.verb import EXIT_FAILURE, EXIT_INTERRUPTED, Between, verb
 
 if TYPE_CHECKING:
@@ -138,47 +138,30 @@ def _openplc(plan: Plan) -> Iterator[Path]:
 @contextlib.contextmanager
 def _translating() -> Iterator[Callable[[int, int], None]]:
     """Show on stderr how the translation gets on."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    text = "translating Structured Text to C"
-    if not sys.stderr.isatty():
-        told = 0
-
-        def tell(done: int, of: int) -> None:
-            nonlocal told
-            if of > 10 and done >= told:
-                told = done + max(1, of // 10)
-                print(f"{text}: {done} of {of} new objects", file=sys.stderr, flush=True)
-
-        yield tell
-        return
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(text, total=None)
-        yield lambda done, of: progress.update(task, completed=done, total=of)
+    line = ProgressLine()
+    yield lambda done, of: line.show(lambda: f"translating Structured Text to C: {done} of {of} new objects")
+    line.clear()
 
 
 def _run(
     plan: Plan, seconds: float | None, *, kill: bool, live: bool, module: str, folder: Path | None
 ) -> Result:
     from rich.console import Console
-    from rich.progress import Progress
 
     from rosplc.demo.supervisor import Demo
     from rosplc.demo.view import LiveView
 
+    line = ProgressLine(quiet=live or not sys.stderr.isatty())
     with contextlib.ExitStack() as stack:
-        draw: Callable[[Demo], None] | None = None
-        if live:
-            draw = stack.enter_context(LiveView(Console())).draw
-        elif sys.stderr.isatty():
-            progress = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-            task = progress.add_task("starting", total=seconds)
+        view = stack.enter_context(LiveView(Console())) if live else None
 
-            def draw(demo: Demo) -> None:
-                progress.update(task, description=demo.phase, completed=demo.elapsed)
+        def draw(demo: Demo) -> None:
+            if view is not None:
+                view.draw(demo)
+            line.show(lambda: f"{demo.phase}, {demo.elapsed:.0f} s")
 
         demo = stack.enter_context(Demo(plan, on_tick=draw, plc=module, folder=folder))
+        stack.callback(line.clear)
         return demo.run(seconds, kill=kill)
 
 
