@@ -257,7 +257,7 @@ def _check(arrived: bool) -> None:
 
 
 def rosplc_python(channel: OwnedChannel, size: int) -> Contender:
-    """Return the channel from Python: one publication and one taking."""
+    """Return the channel from Python: one publication and one taking into a buffer."""
     writer = Writer(channel.region, 0, 1000)
     reader = Reader(channel.region, writer.head)
     record, out = bytearray(size), bytearray(size)

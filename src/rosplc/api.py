@@ -158,11 +158,11 @@ class Channel:
 
         Messages in between are skipped and counted in :attr:`lost`.
         """
-        return self._take("latest")
+        return self._take("latest_record")
 
     def current(self) -> RecordView | None:
         """Return the newest message, new or not; None if there is none."""
-        return self._take("peek")
+        return self._take("peek_record")
 
     def every(self, timeout: float | None = 0.0, *, poll: float = 0.001) -> Iterator[RecordView]:
         """Yield messages in order, each once.
@@ -171,7 +171,7 @@ class Channel:
         None waits for ever. ``poll`` is the time between two looks, in seconds.
         """
         while True:
-            message = self._wait("next", timeout, poll)
+            message = self._wait("next_record", timeout, poll)
             if message is None:
                 return
             yield message
@@ -182,7 +182,7 @@ class Channel:
         ``poll`` is the time between two looks, in seconds. Nobody has to wake this program up, which is what
         keeps a PLC's scan free of system calls.
         """
-        return self._wait("latest", timeout, poll)
+        return self._wait("latest_record", timeout, poll)
 
     def write(self, value: Mapping[str, Any] | RecordView | object, *, stamp_ns: int | None = None) -> int:
         """Publish a message towards ROS, and return its sequence number.
@@ -277,18 +277,16 @@ class Channel:
     def _take(self, how: str) -> RecordView | None:
         if not self._follow():
             return None
-        # A buffer of its own for each message: what was returned never changes afterwards.
-        record = bytearray(self.layout.size)
         try:
-            info: SlotInfo | None = getattr(self._reader, how)(record)
+            found: tuple[bytes, SlotInfo] | None = getattr(self._reader, how)()
         except ChannelError as error:
             if error.code not in ("SHM111", "SHM112"):
                 raise
             self._drop()
             return None
-        if info is None:
+        if found is None:
             return None
-        self.info = info
+        record, self.info = found
         return self.layout.view(record)
 
     def _wait(self, how: str, timeout: float | None, poll: float) -> RecordView | None:

@@ -192,6 +192,12 @@ class Reader:
         """Copy the message after the last one taken; otherwise leave ``out`` as it is."""
     def peek(self, out: WriteableBuffer, /) -> SlotInfo | None:
         """Copy the current message, new or not, without taking it."""
+    def latest_record(self) -> tuple[bytes, SlotInfo] | None:
+        """As latest(), as an object of its own: large records are copied once instead of twice."""
+    def next_record(self) -> tuple[bytes, SlotInfo] | None:
+        """As next(), as an object of its own."""
+    def peek_record(self) -> tuple[bytes, SlotInfo] | None:
+        """As peek(), as an object of its own."""
     def latest_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:
         """As latest(), encoded straight out of the slot. Raises Fault; the message counts as taken."""
     def next_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:

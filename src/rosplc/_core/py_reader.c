@@ -99,7 +99,7 @@ static int reader_fill(ReaderObject *self, PyObject *out, rosplc_take *take)
     size_t size = self->owner->region.geometry.record_size;
     PyThreadState *state;
     Py_buffer view;
-    int accepted = 0;
+    int accepted;
     if (PyObject_GetBuffer(out, &view, PyBUF_WRITABLE))
         return -1;
     /* Only now: getting a buffer may run Python code, which may close the region. */
@@ -119,14 +119,9 @@ static int reader_fill(ReaderObject *self, PyObject *out, rosplc_take *take)
         return -1;
     }
     state = reader_unlock(self, size);
-    while (rosplc_take_begin(&self->reader, take)) {
-        ROSPLC_COPY_RECORD(self->shadow, rosplc_record(take->slot), size);
-        if (rosplc_take_check(&self->reader, take)) {
-            memcpy(view.buf, self->shadow, size);
-            rosplc_take_accept(&self->reader, take);
-            accepted = 1;
-        }
-    }
+    accepted = rosplc_take_record(&self->reader, take, self->shadow);
+    if (accepted)
+        memcpy(view.buf, self->shadow, size);
     reader_lock(self, state);
     PyBuffer_Release(&view);
     return accepted;
@@ -162,6 +157,48 @@ static PyObject *reader_next(ReaderObject *self, PyObject *out)
 static PyObject *reader_peek(ReaderObject *self, PyObject *out)
 {
     return reader_take(self, out, ROSPLC_TAKE_PEEK);
+}
+
+/* Nobody sees a bytes object before it is returned: it needs no shadow. */
+static PyObject *reader_take_record(ReaderObject *self, int mode)
+{
+    rosplc_take take = rosplc_take_start(mode);
+    PyThreadState *state;
+    PyObject *record, *info = NULL;
+    size_t size = self->owner->region.geometry.record_size;
+    int accepted;
+    if (reader_usable(self))
+        return NULL;
+    /* Before a large object is made for nothing. */
+    if (mode != ROSPLC_TAKE_PEEK && !rosplc_reader_news(&self->reader))
+        Py_RETURN_NONE;
+    if (!(record = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)size)))
+        return NULL;
+    state = reader_unlock(self, size);
+    accepted = rosplc_take_record(&self->reader, &take, PyBytes_AsString(record));
+    reader_lock(self, state);
+    if (accepted && (info = ch_slot_info(&take)) != NULL)
+        return Py_BuildValue("(NN)", record, info);
+    Py_DECREF(record);
+    return accepted ? NULL : Py_NewRef(Py_None);
+}
+
+static PyObject *reader_latest_record(ReaderObject *self, PyObject *unused)
+{
+    (void)unused;
+    return reader_take_record(self, ROSPLC_TAKE_NEWEST);
+}
+
+static PyObject *reader_next_record(ReaderObject *self, PyObject *unused)
+{
+    (void)unused;
+    return reader_take_record(self, ROSPLC_TAKE_NEXT);
+}
+
+static PyObject *reader_peek_record(ReaderObject *self, PyObject *unused)
+{
+    (void)unused;
+    return reader_take_record(self, ROSPLC_TAKE_PEEK);
 }
 
 static PyObject *reader_take_wire(ReaderObject *self, PyObject *plan_object, int mode)
@@ -302,6 +339,9 @@ static PyMethodDef methods[] = {
     {"update", (PyCFunction)reader_update, METH_O, "update(out) -> whether a new message is in out now."},
     {"next", (PyCFunction)reader_next, METH_O, "next(out) -> SlotInfo of the message after the last, or None."},
     {"peek", (PyCFunction)reader_peek, METH_O, "peek(out) -> SlotInfo of the current message, new or not, or None."},
+    {"latest_record", (PyCFunction)reader_latest_record, METH_NOARGS, "latest_record() -> (bytes, SlotInfo) or None."},
+    {"next_record", (PyCFunction)reader_next_record, METH_NOARGS, "next_record() -> (bytes, SlotInfo) or None."},
+    {"peek_record", (PyCFunction)reader_peek_record, METH_NOARGS, "peek_record() -> (bytes, SlotInfo) or None."},
     {"latest_wire", (PyCFunction)reader_latest_wire, METH_O, "latest_wire(plan) -> (wire bytes, SlotInfo) or None."},
     {"next_wire", (PyCFunction)reader_next_wire, METH_O, "next_wire(plan) -> (wire bytes, SlotInfo) or None."},
     {"peek_wire", (PyCFunction)reader_peek_wire, METH_O, "peek_wire(plan) -> (wire bytes, SlotInfo) or None."},

@@ -10,7 +10,7 @@ import weakref
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Fault
@@ -127,7 +127,6 @@ class Binding:
             _be_heard()
         self._to_plc = description.direction is Direction.TO_PLC
         self._lock = threading.RLock()
-        self._record = bytearray(self.layout.size)
         self._user: Any = None  # the writer or the reader
         self._channel: OwnedChannel | None = None
         self.closed = False
@@ -205,8 +204,8 @@ class Binding:
         return record
 
     def _next(self) -> bytes | None:
-        found = self._user.next(self._record) if self._every else self._user.latest(self._record)
-        return None if found is None else bytes(self._record)
+        found = self._user.next_record() if self._every else self._user.latest_record()
+        return None if found is None else cast(bytes, found[0])
 
     @property
     def lost(self) -> int:

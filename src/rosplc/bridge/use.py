@@ -160,9 +160,7 @@ class Use(Notes, ABC):
     ) -> tuple[bytes, SlotInfo] | None:
         """Return the newest message of one of the objects, of this use's by default, and take nothing."""
         channel = (self._channels if channels is None else channels)[part]
-        record = bytearray(channel.identity.record_size)
-        info = Reader(channel.region, 0).peek(record)
-        return None if info is None else (bytes(record), info)
+        return Reader(channel.region, 0).peek_record()
 
     def close(self) -> None:
         """Leave all objects with their last state."""

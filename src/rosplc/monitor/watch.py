@@ -149,9 +149,8 @@ class Watch:
             what = f"a message of {attached.identity.record_size >> 20} MiB is too large to be shown"
             raise channel_error(112, what, attached.path)
         layout = layout_of(attached)
-        record = bytearray(layout.size)
-        info = Reader(attached.region, 0).peek(record)
-        return None if info is None else message_of(identifier, layout, record, info, elements, tracked.part)
+        found = Reader(attached.region, 0).peek_record()
+        return None if found is None else message_of(identifier, layout, *found, elements, tracked.part)
 
     def _wanted(self, prefix: str, topic: str | None = None, *, name: str = "") -> bool:
         """Return whether a topic, or the object of a name, is to be looked at."""

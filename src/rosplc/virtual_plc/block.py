@@ -396,12 +396,11 @@ class ReadBlock(Block):
             self._claim = shm.ReaderClaim(attached.region, self._reader, self._beat_ms, scan.task, range(4))
         if not latched:
             # Rule M14: what was published before is in msg, valid but never new.
-            info = self._reader.peek(self._shadow)
-            if info is not None:
-                self._show(info)
+            found = self._reader.peek_record()
+            if found is not None:
+                self._show(*found)
 
     def _use_layout(self, layout: Layout) -> None:
-        self._shadow = bytearray(layout.size)
         self._record = bytearray(layout.initial())
         self.msg = layout.view(self._record)
         self.xValid = False
@@ -412,12 +411,13 @@ class ReadBlock(Block):
     def _take(self, reader: shm.Reader, scan: Scan) -> bool:
         if self._every and self.uiTaken >= self._max_per_cycle:
             return False
-        info = reader.next(self._shadow) if self._every else reader.latest(self._shadow)
-        if info is None:
+        found = reader.next_record() if self._every else reader.latest_record()
+        if found is None:
             return False
+        info = found[1]
         self.uiTaken += 1
         self.udiLost += info.lost
-        self._show(info)
+        self._show(*found)
         # The mark may be on a skipped message; a change of the claim and the silence are still seen.
         assert self._attached is not None
         epoch = self._attached.region.words(WRITER_LINE["writer_epoch"], 1)[0]
@@ -428,9 +428,9 @@ class ReadBlock(Block):
         self._since_ns = scan.now_ns
         return True
 
-    def _show(self, info: shm.SlotInfo) -> None:
-        # Only a copy that passed the re-check reaches msg (shadow, spec M12).
-        self._record[:] = self._shadow
+    def _show(self, record: bytes, info: shm.SlotInfo) -> None:
+        # Only a copy that passed the re-check reaches msg (spec M12).
+        self._record[:] = record
         self.info, self.udiSequence, self.xValid = info, info.sequence, True
         self.xFirst, self.xTruncated, self.xSubstituted = (bool(info.flags & bit) for bit in (1, 2, 4))
 

@@ -65,16 +65,16 @@ class _In(ReadBlock):
         layout, reader = self.layout, self._reader
         if not self.xReady or reader is None or layout is None:
             return None
-        record = bytearray(layout.size)
         try:
-            info = reader.latest(record)
+            found = reader.latest_record()
         except ChannelError as error:
             self._drop(error)
             self.xReady = False
             return None
-        if info is not None:
-            self.msg = layout.view(record)
-        return info
+        if found is None:
+            return None
+        self.msg = layout.view(found[0])
+        return found[1]
 
     def begin(self) -> bool:
         """Return whether the call that was taken may be acted on (M26)."""

@@ -148,7 +148,9 @@ def test_record_sizes(shm_namespace: Namespace, size: int) -> None:
             record = os.urandom(size)
             out = bytearray(size)
             sequence = writer.publish(record)
+            found = reader.peek_record()
             info = reader.next(out)
+            assert found == (record, info)
             assert info is not None
             assert info.sequence == sequence
             assert out == record
@@ -219,6 +221,24 @@ def test_rejected_copy_leaves_the_buffer_alone(shm_namespace: Namespace) -> None
         assert out == pattern(1, 64)
         assert (reader.last, reader.lost, reader.discontinuities) == (1, 0, 0)
         assert reader.retries == 9
+
+
+def test_records_as_objects(shm_namespace: Namespace) -> None:
+    """What is taken as bytes is what is taken into a buffer; a rejected copy is returned by neither (M12)."""
+    with open_channel(shm_namespace) as channel, attach(shm_namespace, _TOPIC) as attached:
+        writer, buffer, objects = channel.writer(), attached.reader(), attached.reader()
+        out = bytearray(64)
+        assert objects.latest_record() is objects.next_record() is objects.peek_record() is None
+        for number in (1, 2, 3):
+            writer.publish(pattern(number, 64), stamp_ns=number)
+        for take, same in ((buffer.next, objects.next_record), (buffer.latest, objects.latest_record)):
+            info = take(out)
+            assert info is not None
+            assert same() == (out, info)
+        channel.region.store(WRITER_LINE["head"], 4)
+        assert objects.latest_record() is objects.next_record() is objects.peek_record() is None
+        assert (objects.last, objects.lost, objects.discontinuities) == (3, 1, 0)
+        assert objects.retries == 9
 
 
 def test_update_takes_as_latest_does(shm_namespace: Namespace) -> None:
