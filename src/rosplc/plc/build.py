@@ -46,7 +46,7 @@ from rosplc.plc.plan import (
     classic_wait,
 )
 from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, Task, VarBlock, Variable
-from rosplc.plc.types import DutBuilder, Renaming, initial_value
+from rosplc.plc.types import DutBuilder, initial_value
 from rosplc.shm import Direction, Part
 
 READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"  # the lists that hold the instances
@@ -177,8 +177,7 @@ class _Blocks:
 
     def _named(self, wanted: str, what: str) -> str:
         name = self.builder.scope.give(wanted)
-        if name != wanted:
-            self.builder.renamings.append(Renaming(f"block of {what}", wanted, name))
+        self.builder.note(f"block of {what}", wanted, name)
         return name
 
 
@@ -232,7 +231,6 @@ def build_project(
     }
     instances: dict[str, list[Variable]] = {"read": [], "write": []}
     lines: dict[tuple[str, str], list[str]] = {}
-    renamings: list[Renaming] = []
     own_blocks: tuple[Item, ...] = ()
     order = sorted(tasks, key=lambda task: task.name)
     indices = {task.name: index for index, task in enumerate(order)}
@@ -240,8 +238,7 @@ def build_project(
     for topic in topics:
         block_name = blocks.name(topic.layout, topic.direction, classic=topic.classic is not None)
         wanted, name = plain_name(topic.topic), names[topic.direction][topic.topic]
-        if name != wanted:
-            renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
+        builder.note(f"instance of {topic.topic}", wanted, name)
         if topic.own:
             types = builder.members(topic.layout)
             values = {"block": block_name, "instance": name, "task": topic.task, "types": types}
@@ -255,9 +252,7 @@ def build_project(
         instances[topic.direction].append(Variable(name, block_name, None, _what(topic), arguments))
         line = call(name, topic, indices[topic.task], cycles[topic.task])
         lines.setdefault((topic.direction, topic.task), []).append(line)
-    of_calls = {
-        gvl: _uses(gvl, calls, blocks, indices, lines, renamings) for gvl in (SERVICE_GVL, ACTION_GVL)
-    }
+    of_calls = {gvl: _uses(gvl, calls, blocks, indices, lines) for gvl in (SERVICE_GVL, ACTION_GVL)}
     variables: list[Variable] = []
     if parameters is not None:
         pou, variables = _parameters(parameters, names, builder, options)
@@ -287,7 +282,7 @@ def build_project(
         pous=(*(item for item in hand_written if isinstance(item, Pou)), *blocks.pous, *programs),
         tasks=found_tasks,
         libraries=libraries,
-        notes=tuple(_notes(builder, renamings, topics, cycles, options)),
+        notes=tuple(_notes(builder, topics, cycles, options)),
         programs=options.programs,
     )
 
@@ -298,14 +293,12 @@ def _uses(
     blocks: _Blocks,
     indices: dict[str, int],
     lines: dict[tuple[str, str], list[str]],
-    renamings: list[Renaming],
 ) -> list[Variable]:
     """Return the instances of a list, and add their calls to the lines of the reading programs."""
     found = []
     for (key, use), name in use_names(gvl, calls):
         wanted = plain_name(key).replace("-", "_")
-        if name != wanted:
-            renamings.append(Renaming(f"instance of {key}", wanted, name))
+        blocks.builder.note(f"instance of {key}", wanted, name)
         client = use.server == "ros"
         arguments = [("sName", string_literal(use.called))]
         if client:
@@ -424,13 +417,11 @@ def _what(topic: PlcTopic) -> str:
 
 def _notes(
     builder: DutBuilder,
-    renamings: list[Renaming],
     topics: Sequence[PlcTopic],
     cycles: dict[str, int],
     options: ProjectOptions,
 ) -> list[str]:
-    notes = [f"{r.where}: {r.wanted} is named {r.given}" for r in (*builder.renamings, *renamings)]
-    notes += builder.omitted
+    notes = [*builder.renamings, *builder.omitted]
     for topic in topics:
         if topic.classic is not None and (cycle := cycles.get(topic.task, 0)):
             wait, half = -(-topic.classic.wait_ns // 1_000_000), classic_wait(topic.classic, cycle)

@@ -102,7 +102,7 @@ class _Openplc:
     ) -> dict[str, bytes]:
         structs = {names.dut: node for node, names in self.builder.structs.items()}
         duts = [self._dut(dut, structs[dut.name]) for dut in self.builder.duts]
-        self.notes += [f"{r.where}: {r.wanted} is named {r.given}" for r in self.builder.renamings]
+        self.notes += self.builder.renamings
         blocks = tuple(self.blocks.values())
         matiec = self.plc == "matiec"
         bodies = "rosplc_blocks.c" if matiec else "rosplc_blocks.cpp"

@@ -22,15 +22,6 @@ _MAX_STRING = 32767
 
 
 @dataclass(frozen=True)
-class Renaming:
-    """One name that could not stay: where, what it was, what it is."""
-
-    where: str
-    wanted: str
-    given: str
-
-
-@dataclass(frozen=True)
 class MemberNames:
     """Identifiers of a DUT's members by their index in the struct node."""
 
@@ -52,7 +43,7 @@ class DutBuilder:
     scope: Scope = field(default_factory=Scope)
     duts: list[Dut] = field(default_factory=list)  # what has been built
     constants: list[Gvl] = field(default_factory=list)  # variable lists of the types' constants
-    renamings: list[Renaming] = field(default_factory=list)  # names that had to change
+    renamings: list[str] = field(default_factory=list)  # names that had to change, as sentences
     omitted: list[str] = field(default_factory=list)  # values that Structured Text cannot write, as sentences
     structs: dict[nodes.StructNode, MemberNames] = field(default_factory=dict)  # what the DUTs are built of
     _seen_types: set[str] = field(default_factory=set)
@@ -107,12 +98,16 @@ class DutBuilder:
         return result
 
     def _note(self, node: nodes.StructNode, names: MemberNames, wanted: str) -> None:
-        if names.dut != wanted:
-            self.renamings.append(Renaming(f"{node.type_name}, {node.size} bytes", wanted, names.dut))
+        self.note(f"{node.type_name}, {node.size} bytes", wanted, names.dut)
         for name, member in zip(names.names, node.members, strict=True):
             own = _wanted(member)
-            if name != own and not isinstance(member.node, nodes.PaddingNode):
-                self.renamings.append(Renaming(names.dut, own, name))
+            if not isinstance(member.node, nodes.PaddingNode):
+                self.note(names.dut, own, name)
+
+    def note(self, where: str, wanted: str, given: str) -> None:
+        """Put a name that could not stay on record."""
+        if given != wanted:
+            self.renamings.append(f"{where}: {wanted} is named {given}")
 
     def _type(self, node: nodes.Node) -> str:
         if isinstance(node, nodes.ScalarNode):
@@ -137,8 +132,7 @@ class DutBuilder:
             if value is None:
                 self.omitted.append(f"{name}: {constant.name} is {constant.value}, which cannot be written")
                 continue
-            if given != constant.name:
-                self.renamings.append(Renaming(name, constant.name, given))
+            self.note(name, constant.name, given)
             variables.append(Variable(given, value[0], value[1]))
         block = VarBlock("VAR_GLOBAL", tuple(variables), constant=True)
         comment = f"Constants of {message.name}"

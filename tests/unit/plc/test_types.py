@@ -146,8 +146,7 @@ def test_constants_become_a_qualified_list():
     assert gvl.blocks[0].constant
     assert values["POINTS"] == ("DINT", "8")
     assert values["_ADD"] == ("DINT", "0")
-    wanted = {(r.wanted, r.given) for r in builder.renamings if r.where == gvl.name}
-    assert ("ADD", "_ADD") in wanted
+    assert f"{gvl.name}: ADD is named _ADD" in builder.renamings
 
 
 def test_a_constant_and_a_field_may_differ_by_case_only():
@@ -221,6 +220,6 @@ def test_fields_with_hostile_names(tmp_path):
     assert len({name.upper() for name in names}) == len(names) == len(each.root.members)
     assert not [name for name in names if is_reserved(name)]
     assert packed({builder.duts[0].name: builder.duts[0]}, builder.duts[0].name)[0] == each.size
-    renamed = {(r.wanted, r.given) for r in builder.renamings}
-    assert {("type", "_type"), ("end_if", "_end_if"), ("bool_to_int", "_bool_to_int")} <= renamed
-    assert "data_count" in names and ("data_count", "data_count_2") in renamed
+    renamed = {text.removeprefix(f"{builder.duts[0].name}: ") for text in builder.renamings}
+    assert {f"{name} is named _{name}" for name in ("type", "end_if", "bool_to_int")} <= renamed
+    assert "data_count" in names and "data_count is named data_count_2" in renamed
