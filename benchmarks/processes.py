@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,14 +102,21 @@ def peers(
 
 @contextmanager
 def bridge(
-    folder: Path, config: str, domain: int, variables: Mapping[str, str] | None = None
+    folder: Path,
+    config: str,
+    domain: int,
+    variables: Mapping[str, str] | None = None,
+    command: Sequence[str] = ("-m", "rosplc"),
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a bridge; it is up when the block begins, and its objects are gone when it has ended."""
+    """Run a bridge; it is up when the block begins, and its objects are gone when it has ended.
+
+    ``command`` is what Python runs.
+    """
     path, log = folder / "rosplc.yaml", folder / "bridge.log"
     path.write_text(config)
     with log.open("wb") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-m", "rosplc", "run", str(path), "--status", "5"],
+            [sys.executable, *command, "run", str(path), "--status", "5"],
             env=environment(domain, variables),
             stdout=errors,
             stderr=errors,

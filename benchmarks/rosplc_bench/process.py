@@ -56,7 +56,7 @@ class Side:
         self.pid = self._process.pid
         self._buffer = b""
         try:
-            self._clock = _cpu_clock(self.pid)
+            self._clock = cpu_clock(self.pid)
         except BaseException:  # nothing else would end it
             self.kill()
             raise
@@ -148,7 +148,7 @@ class Side:
         return SetupError("SYS002", "\n  ".join([f"{self._name}: {reason}", *lines]))
 
 
-def _cpu_clock(pid: int) -> int:
+def cpu_clock(pid: int) -> int:
     """Return the clock of a process's processor time, as clock_gettime takes it."""
     found = ctypes.c_int()
     if ctypes.CDLL(None).clock_getcpuclockid(pid, ctypes.byref(found)):

@@ -255,9 +255,12 @@ class Sink:
 
 @final
 class Group:
-    """The channels of one bridge. take() and wait() belong to one thread; the rest may be called from any."""
+    """The channels of one bridge. take() and wait() belong to one thread; the rest may be called from any.
 
-    def __new__(cls) -> Group: ...
+    With ``predict``, wait() learns when channels are written, and looks then; the next tick is one later.
+    """
+
+    def __new__(cls, predict: bool = False) -> Group: ...
     def add_reader(self, reader: Reader, plan: Plan, mode: int = 0, limit: int = 64, /) -> int:
         """Add a reader and return its index; ``mode`` 0 newest only, 1 in order, ``limit`` a take().
 

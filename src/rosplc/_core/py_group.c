@@ -1,12 +1,13 @@
 /* _native.Group: one tick over all channels of a bridge in one call.
  *
- * wait() looks at the heads of all readers on an absolute-time grid, without the GIL; take() converts
- * everything new to wire bytes, straight out of the slots; beat() beats all lines.
+ * wait() looks at the heads of all readers on an absolute-time grid, without the GIL, and with `predict` when news is
+ * expected; take() converts everything new to wire bytes, straight out of the slots; beat() beats all lines.
  *
  * The table of channels is guarded by `mutex`, which wait() holds without the GIL for the length of one
  * look. Nobody waits for the GIL while holding it.
  */
 #include "py_channel.h"
+#include "predict.h"
 #include "sink.h"
 
 #include <errno.h>
@@ -49,6 +50,8 @@ typedef struct {
     int mutex_ready;
     Entry *entries;
     Watch *watches; /* one for each entry */
+    int predicts;
+    rp_predictor predictor; /* its streams: one for each entry */
     Py_ssize_t count, room;
     uint8_t *wire; /* scratch for one message */
     size_t wire_size;
@@ -67,8 +70,9 @@ static int64_t now_ns(void)
 static PyObject *group_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 {
     GroupObject *self;
-    static char *names[] = {NULL};
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, ":Group", names))
+    static char *names[] = {"predict", NULL};
+    int predicts = 0;
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "|p:Group", names, &predicts))
         return NULL;
     self = (GroupObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
     if (!self)
@@ -78,6 +82,7 @@ static PyObject *group_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
         return PyErr_NoMemory();
     }
     self->mutex_ready = 1;
+    self->predicts = predicts;
     return (PyObject *)self;
 }
 
@@ -89,6 +94,7 @@ static void group_drop(GroupObject *self, Py_ssize_t index)
     entry = self->entries[index];
     self->entries[index] = (Entry){0};
     self->watches[index] = (Watch){&NO_HEAD, 0};
+    rp_leave(&self->predictor, &self->predictor.streams[index]);
     pthread_mutex_unlock(&self->mutex);
     if (entry.reader)
         ch_region_unpin(entry.reader->owner);
@@ -107,6 +113,7 @@ static void group_dealloc(GroupObject *self)
         group_drop(self, i);
     PyMem_Free(self->entries);
     PyMem_Free(self->watches);
+    PyMem_Free(self->predictor.streams);
     PyMem_Free(self->wire);
     if (self->mutex_ready)
         pthread_mutex_destroy(&self->mutex);
@@ -124,22 +131,27 @@ static PyObject *group_add(GroupObject *self, Entry entry)
         Py_ssize_t room = self->room ? 2 * self->room : 16;
         Entry *grown = PyMem_Calloc((size_t)room, sizeof *grown), *old = self->entries;
         Watch *more = PyMem_Calloc((size_t)room, sizeof *more), *before = self->watches;
-        if (!grown || !more) {
+        rp_stream *streams = PyMem_Calloc((size_t)room, sizeof *streams), *known = self->predictor.streams;
+        if (!grown || !more || !streams) {
             PyMem_Free(grown);
             PyMem_Free(more);
+            PyMem_Free(streams);
             return PyErr_NoMemory();
         }
         pthread_mutex_lock(&self->mutex);
         if (old) {
             memcpy(grown, old, (size_t)self->count * sizeof *grown);
             memcpy(more, before, (size_t)self->count * sizeof *more);
+            memcpy(streams, known, (size_t)self->count * sizeof *streams);
         }
         self->entries = grown;
         self->watches = more;
+        self->predictor.streams = streams;
         self->room = room;
         pthread_mutex_unlock(&self->mutex);
         PyMem_Free(old);
         PyMem_Free(before);
+        PyMem_Free(known);
     }
     Py_INCREF(entry.reader ? (PyObject *)entry.reader : (PyObject *)entry.writer);
     Py_XINCREF(entry.plan_object);
@@ -149,7 +161,7 @@ static PyObject *group_add(GroupObject *self, Entry entry)
     self->watches[index].head = entry.reader ? &entry.reader->owner->region.header->writer.head : &NO_HEAD;
     self->watches[index].quiet = 0;
     if (index == self->count)
-        self->count++;
+        self->predictor.count = (uint32_t)++self->count;
     pthread_mutex_unlock(&self->mutex);
     return PyLong_FromSsize_t(index);
 }
@@ -264,18 +276,27 @@ static int entry_news(Entry *entry, Watch *watch)
     return 1;
 }
 
-/* One look at all heads. */
-static Py_ssize_t group_look(GroupObject *self)
+/* One look at all heads, which was to be at `planned`; sets when the next one is due. */
+static Py_ssize_t group_look(GroupObject *self, int64_t planned, int64_t tick)
 {
     Py_ssize_t news = 0;
+    int predicts = self->predicts && tick;
+    self->next_tick = planned + tick;
     pthread_mutex_lock(&self->mutex);
+    if (predicts)
+        rp_look(&self->predictor, planned, now_ns(), tick);
     for (Py_ssize_t i = 0; i < self->count; i++) {
         Watch *watch = &self->watches[i];
         if (i + AHEAD < self->count)
             __builtin_prefetch(watch[AHEAD].head);
-        if (rosplc_load(watch->head) != watch->quiet)
-            news += entry_news(&self->entries[i], watch);
+        if (rosplc_load(watch->head) == watch->quiet || !entry_news(&self->entries[i], watch))
+            continue;
+        news++;
+        if (predicts)
+            rp_news(&self->predictor, (uint32_t)i, rosplc_load(watch->head));
     }
+    if (predicts)
+        self->next_tick = rp_next(&self->predictor);
     pthread_mutex_unlock(&self->mutex);
     return news;
 }
@@ -301,7 +322,7 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
                 /* The grid stays where it is while we keep up, and starts again where we fell behind. */
                 int64_t target = self->next_tick;
                 struct timespec until;
-                if (target <= now - tick || target > now + tick)
+                if (target <= now - tick || target > now + tick + tick / RP_SLACK)
                     target = now + tick;
                 if (target > deadline)
                     target = deadline;
@@ -309,13 +330,12 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
                 interrupted = clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR;
                 if (interrupted)
                     break;
-                self->next_tick = target + tick;
                 now = target;
             } else {
                 sched_yield();
                 interrupted = ++looks % 4096 == 0; /* no call that a signal could interrupt: look for one */
             }
-            news = group_look(self);
+            news = group_look(self, now, tick);
             done = news || __atomic_exchange_n(&self->woken, 0, __ATOMIC_ACQ_REL) || now >= deadline;
         }
         Py_END_ALLOW_THREADS;
@@ -515,7 +535,7 @@ static PyMethodDef methods[] = {
 };
 
 static PyType_Slot slots[] = {
-    {Py_tp_doc, "Group(): the channels of one bridge, served in one call per tick."},
+    {Py_tp_doc, "Group(predict=False): the channels of one bridge, served in one call per tick."},
     {Py_tp_new, (void *)group_new},
     {Py_tp_dealloc, (void *)group_dealloc},
     {Py_tp_methods, methods},

@@ -284,7 +284,7 @@ class Grouped(Ports[_P]):
         self._context = context
         self._now = context.clock.monotonic_ns
         self._tick_ns = tick_ns
-        self._group = Group()
+        self._group = Group(predict=True)
         self._ports: dict[int, _P] = {}  # by the numbers of their readers in the group
 
     def remove(self, port: _P) -> None:

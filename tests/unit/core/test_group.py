@@ -225,9 +225,37 @@ def test_closed_channels_are_quiet(pairs: list[_Pair], codec: Codec) -> None:
     gc.collect()
 
 
-def test_channels_come_and_go_while_another_thread_waits(pairs: list[_Pair], codec: Codec) -> None:
+@pytest.mark.parametrize("predict", [False, True])
+def test_a_steady_stream_is_taken_whole(pairs: list[_Pair], codec: Codec, predict: bool) -> None:
+    """What a thread publishes at intervals arrives in order and complete, whenever wait() looks."""
+    group = _native.Group(predict=predict)
+    for channel, _ in pairs:
+        group.add_reader(channel.reader(), codec.plan, 1)
+    writers = [attached.writer() for _, attached in pairs]
+
+    def write() -> None:
+        for x in range(150):
+            for writer in writers:
+                writer.publish(_record(codec, float(x)))
+            time.sleep(0.003)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    found: dict[int, list[int]] = {index: [] for index in range(len(pairs))}
+    while any(len(sequences) < 150 for sequences in found.values()):
+        assert group.wait(_TICK, 10 * _SECOND)
+        for index, _, sequence, *_ in group.take()[0]:
+            found[index].append(sequence)
+    thread.join()
+    assert all(sequences == list(range(1, 151)) for sequences in found.values())
+
+
+@pytest.mark.parametrize("predict", [False, True])
+def test_channels_come_and_go_while_another_thread_waits(
+    pairs: list[_Pair], codec: Codec, predict: bool
+) -> None:
     """Adding and removing is safe while wait() runs in another thread."""
-    group = _native.Group()
+    group = _native.Group(predict=predict)
     stop = threading.Event()
 
     def wait() -> None:
