@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks import measure
 from benchmarks.bench_bridge import LOAD, MESSAGES, Contender, begin, latency_topics, load_config
@@ -30,7 +30,7 @@ from benchmarks.peers import EVERY, STRING, TO_PLC, TO_ROS, TYPE, names
 from benchmarks.processes import RosGraph, bridge, cpu_seconds, environment, peers, ros_domain
 from rosplc.demo.processes import remove_objects
 from rosplc.described import description_of
-from rosplc.layout import Limits, compute_layout
+from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros.dds import native
 from rosplc.ros.dds.backend import domain_config
@@ -57,10 +57,24 @@ def compile_node(folder: Path) -> Path:
     return program
 
 
+class Carried(NamedTuple):
+    """What the node carries: its word for the type, the layout, an object's slots, DDS' depth."""
+
+    word: str
+    layout: Layout
+    slots: int
+    depth: int
+
+
+POSES = Carried("pose", compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING)), 4096, DEPTH)
+
+
 @contextmanager
-def node(program: Path, prefix: str, domain: int, ins: list[str], outs: list[str]) -> Iterator[int]:
+def node(
+    program: Path, prefix: str, domain: int, ins: list[str], outs: list[str], what: Carried
+) -> Iterator[int]:
     """Run the node in place of a bridge, over objects that this process owns; give its process id."""
-    layout = compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING))
+    layout = what.layout
     variables = environment(domain)
     variables["CYCLONEDDS_URI"] = domain_config(variables, "jazzy")
     words = []
@@ -69,24 +83,35 @@ def node(program: Path, prefix: str, domain: int, ins: list[str], outs: list[str
         for way, direction, topics in (("in", Direction.TO_PLC, ins), ("out", Direction.TO_ROS, outs)):
             for topic in topics:
                 about = description_of(layout, topic, direction, bridge=prefix)
-                channel = OwnedChannel.open(Namespace(prefix), about, record_size=layout.size, slots=4096)
+                channel = OwnedChannel.open(
+                    Namespace(prefix), about, record_size=layout.size, slots=what.slots
+                )
                 stack.callback(channel.close)
                 words += [way, dds_topic(topic), str(channel.path)]
-        with Side("dds_node", [str(program), str(domain), str(DEPTH), *words], variables) as side:
+        with Side(
+            "dds_node", [str(program), str(domain), str(what.depth), what.word, *words], variables
+        ) as side:
             side.receive()
             yield side.pid
 
 
 @contextmanager
 def carrying(
-    name: str, program: Path, prefix: str, domain: int, config: str, ins: list[str], outs: list[str]
+    name: str,
+    program: Path,
+    prefix: str,
+    domain: int,
+    config: str,
+    ins: list[str],
+    outs: list[str],
+    what: Carried = POSES,
 ) -> Iterator[int]:
     """Run a contender for topics each way, which are also those of the configuration; give its process id."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if name == "bridge":
             yield stack.enter_context(bridge(Path(folder), config, domain)).pid
         else:
-            yield stack.enter_context(node(program, prefix, domain, ins, outs))
+            yield stack.enter_context(node(program, prefix, domain, ins, outs, what))
 
 
 def loaded(name: str, program: Path, topics: int, rate: int, seconds: float) -> dict[str, float]:

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 from rosplc.codec import Codec
 from rosplc.described import description_of
-from rosplc.layout import Limits, compute_layout
+from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import ROS1, SERVICES, Backend, Qos, open_backend
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
@@ -32,7 +32,7 @@ from rosplc.shm.classic import ClassicObject, Entry
 from rosplc.virtual_plc import ServiceServer, Task
 from rosplc_bench.process import reply
 
-TYPE = "geometry_msgs/msg/PoseStamped"
+TYPE, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Image"
 STRING = 119  # the longest frame_id; with it a message has about 200 bytes
 BARE, TO_PLC, TO_ROS, EVERY = "/bench/bare", "/bench/to_plc", "/bench/to_ros", "/bench/every"
 SENT = "since the bridge took it"
@@ -80,11 +80,19 @@ def stamp_places(distro: str) -> tuple[int, int]:
     return 4, 4 if distro == ROS1 else 0
 
 
-def patterns(distro: str = "jazzy") -> tuple[Callable[[int], Pattern], Callable[[int], Pattern]]:
-    """Return how messages of a topic look on the wire, and how as records."""
+def image_layout(size: int) -> Layout:
+    """Return the layout of images of so many bytes."""
+    return compute_layout(TypeStore.bundled("jazzy"), IMAGE, Limits(string=STRING, fields={"data": size}))
+
+
+def patterns(
+    distro: str = "jazzy", image: int = 0
+) -> tuple[Callable[[int], Pattern], Callable[[int], Pattern]]:
+    """Return how messages of a topic look on the wire, and how as records; ``image``: of so many bytes."""
     layout = compute_layout(TypeStore.bundled(distro), TYPE, Limits(string=STRING))
-    codec = Codec(layout)
-    record = bytes(codec.layout.pack({"header": {"frame_id": "f" * STRING}}))
+    codec = Codec(image_layout(image) if image else layout)
+    value: dict[str, Any] = {"header": {"frame_id": "f" * STRING}}
+    record = bytes(codec.layout.pack(value | {"encoding": "rgb8", "data": bytes(image)} if image else value))
     wire = codec.encode(record)
     on_wire, in_record = stamp_places(distro)
     return (lambda topic: Pattern(wire, on_wire, topic)), (lambda topic: Pattern(record, in_record, topic))
@@ -229,14 +237,15 @@ class Load:
 
 def ros(plan: Plan) -> None:
     """Publish on some topics and subscribe to others, over ROS, at a fixed rate."""
-    wire, _ = patterns(plan.get("distro", "jazzy"))
-    load = Load(plan, names("out", plan["topics"]))
+    wire, _ = patterns(plan.get("distro", "jazzy"), plan.get("image", 0))
+    load = Load(plan, names("out", plan.get("outs", plan["topics"])))
+    kind = IMAGE if plan.get("image") else TYPE
     qos = Qos(reliability="reliable", durability="volatile", depth=plan["qos_depth"])
     backend = connect(plan, "load")
     for index, (topic, tally) in enumerate(load.tallies.items()):
-        backend.subscribe(topic, TYPE, qos, tally.receiver(wire(index)))
-    topics = enumerate(names("in", plan["topics"]))
-    out = [(backend.advertise(topic, TYPE, qos), wire(index)) for index, topic in topics]
+        backend.subscribe(topic, kind, qos, tally.receiver(wire(index)))
+    topics = enumerate(names("in", plan.get("ins", plan["topics"])))
+    out = [(backend.advertise(topic, kind, qos), wire(index)) for index, topic in topics]
     while not load.requests.ended and any(not one.matched for one in backend.status()):
         time.sleep(0.05)
     reply(ready=True)
@@ -256,14 +265,17 @@ def ros(plan: Plan) -> None:
 
 def plc(plan: Plan) -> None:
     """Be the PLC: each scan takes all that is new and sends ``per_scan`` messages on each topic."""
-    _, records = patterns(plan.get("distro", "jazzy"))
-    load = Load(plan, names("in", plan["topics"]))
+    _, records = patterns(plan.get("distro", "jazzy"), plan.get("image", 0))
+    load = Load(plan, names("in", plan.get("ins", plan["topics"])))
     attached = partial(attach, Namespace(plan["prefix"]), write=True)
     ins = [
         (attached(topic, direction=Direction.TO_PLC).reader("load", observe=False), tally, records(index))
         for index, (topic, tally) in enumerate(load.tallies.items())
     ]
-    ends = {topic: attached(topic, direction=Direction.TO_ROS) for topic in names("out", plan["topics"])}
+    ends = {
+        topic: attached(topic, direction=Direction.TO_ROS)
+        for topic in names("out", plan.get("outs", plan["topics"]))
+    }
     outs = [(end.writer(beat_ms=5000), records(index)) for index, end in enumerate(ends.values())]
     record = bytearray(len(records(0).bytes))
     reply(ready=True)

@@ -399,7 +399,7 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
     rosplc_take take = rosplc_take_start(entry->mode);
     rp_fault fault = {0, 0, 0, 0};
     size_t used = 0;
-    int accepted = entry->mode == ROSPLC_TAKE_PEEK, failed = 0;
+    int accepted = entry->mode == ROSPLC_TAKE_PEEK, failed = 0, passed = 0;
     PyThreadState *unlocked = NULL;
     PyObject *message;
     if (!accepted && entry->plan->record_size >= CH_LONG_COPY) {
@@ -415,6 +415,7 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
             rosplc_take_accept(reader, &take); /* stores `taken`: before anybody sends (M15) */
             accepted = 1;
             failed = result;
+            passed = !failed && !put_one(self, entry, &take, used);
         }
     }
     if (unlocked) {
@@ -432,7 +433,7 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
         rp_raise_fault(&fault);
         return append_pair(faults, index, caught()) ? -1 : 1;
     }
-    if (entry->mode != ROSPLC_TAKE_PEEK && !put_one(self, entry, &take, used))
+    if (passed)
         return 1;
     message = Py_BuildValue("(ny#kkKk)", index, (const char *)self->wire, (Py_ssize_t)used,
                             (unsigned long)take.sequence, (unsigned long)take.flags,

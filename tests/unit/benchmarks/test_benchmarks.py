@@ -166,7 +166,21 @@ def test_the_benchmark_of_large_records() -> None:
     from benchmarks import bench_large
 
     ((_, table),) = rows(bench_large.run(1, 1 << 16)).items()
-    assert set(table) == {"memcpy, C", "channel, C", "memcpy, Python", "channel, Python"}
+    channels = {"channel, C", "channel, Python, as bytes", "channel, Python, into a buffer"}
+    assert set(table) == {"memcpy, C", "memcpy, Python"} | channels
+
+
+def test_the_benchmark_of_images() -> None:
+    """Small images arrive both ways through both, every byte of them."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    if shutil.which("gcc") is None:
+        pytest.skip("Debian package gcc is missing")
+    from benchmarks import bench_image
+
+    report = bench_image.run(1, 30_000, (10, 1.0))
+    ((_, table),) = rows(report).items()
+    assert len(table) == 4
+    assert set(report["tables"][0]["facts"].values()) == {0}
 
 
 @pytest.mark.serial
