@@ -139,8 +139,11 @@ def _openplc(plan: Plan) -> Iterator[Path]:
 def _translating() -> Iterator[Callable[[int, int], None]]:
     """Show on stderr how the translation gets on."""
     line = ProgressLine()
-    yield lambda done, of: line.show(lambda: f"translating Structured Text to C: {done} of {of} new objects")
-    line.clear()
+    text = "translating Structured Text to C: {} of {} new objects"
+    try:
+        yield lambda done, of: line.show(lambda: text.format(done, of))
+    finally:
+        line.clear()
 
 
 def _run(
