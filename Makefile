@@ -6,7 +6,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python tools/checks.py
-CORE_SOURCES := $(wildcard src/rosplc/_core/*.[ch] src/rosplc/ros/dds/*.c)
+CORE_SOURCES := $(wildcard src/rosplc/_core/*.[ch] src/rosplc/ros/*/*.c)
 # Minutes that `make verify-long` and `make test-foreign` may take; empty: as long as they need.
 VERIFY_MINUTES ?=
 FOREIGN_MINUTES ?=
@@ -159,5 +159,5 @@ deb: $(VENV)/.core ## build dist/rosplc_*.deb, for this release of Debian or Ubu
 .PHONY: clean
 clean: ## remove everything that make created, .venv included
 	rm -rf $(VENV) build dist site .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
-	rm -rf src/*.egg-info src/rosplc/_core/*.so src/rosplc/ros/dds/*.so
+	rm -rf src/*.egg-info src/rosplc/_core/*.so src/rosplc/ros/*/*.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -15,6 +15,7 @@ CORE = ["module.c", "py_channel.c", "py_writer.c", "py_reader.c", "py_plan.c", "
 EXTENSIONS = {
     "rosplc._core._native": [f"src/rosplc/_core/{name}" for name in CORE],
     "rosplc.ros.dds._batch": ["src/rosplc/ros/dds/batch.c"],
+    "rosplc.ros.rospy._tcp": ["src/rosplc/ros/rospy/tcp.c"],
 }
 
 

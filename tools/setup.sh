@@ -91,7 +91,7 @@ install() {
 }
 
 core() {
-    if [ -z "$(find src/rosplc/_core -name '*.[ch]' -newer "$VENV/.core" 2>/dev/null)" ] && [ -e "$VENV/.core" ]; then
+    if [ -z "$(find src/rosplc/_core src/rosplc/ros -name '*.[ch]' -newer "$VENV/.core" 2>/dev/null)" ] && [ -e "$VENV/.core" ]; then
         touch "$VENV/.core" # installed a moment ago: already built
         return
     fi

@@ -5,12 +5,14 @@ from __future__ import annotations
 import http.client
 import json
 import os
+import queue
 import select
 import socket
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -306,8 +308,16 @@ def over_ros1(patch: pytest.MonkeyPatch, folder: Path) -> None:
         with pytest.raises(handshake.HandshakeError, match=str(handshake.MOST_HEADER)):
             handshake.read_header(ours, 60.0)
 
-    with pytest.raises(handshake.HandshakeError, match="announced"):
-        topics.cut(bytearray((topics.LARGEST_MESSAGE + 1).to_bytes(4, "little")))
+    received = topics.Connections("limits")
+    with socket.socket() as ours, socket.create_server(("127.0.0.1", 0)) as server:
+        ours.connect(server.getsockname())
+        theirs, ends = server.accept()[0], queue.SimpleQueue[str]()
+        received.loop.receive(ours.fileno(), SimpleNamespace(end=ends.put), None)
+        theirs.sendall((topics.LARGEST_MESSAGE + 1).to_bytes(4, "little"))
+        assert ends.get(timeout=60.0) == f"a message of {topics.LARGEST_MESSAGE + 1} bytes is announced"
+        received.let_go(ours)
+        theirs.close()
+    received.close()
 
     patch.setattr(master, "MOST_ANSWER", 1000)
     with _answering(b" " * 2000) as uri, pytest.raises(master.UnreachableError, match="1000 bytes"):

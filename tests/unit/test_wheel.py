@@ -74,9 +74,11 @@ def test_both_distributions_are_complete(tmp_path: Path) -> None:
     information = {name for name in names if ".dist-info/" in name}
     assert expected - names == set()
     assert names - expected - core - information == set()
-    assert len(core) == 2
+    assert len(core) == 3
     if sys.version_info >= (3, 11):
-        assert core == {"rosplc/_core/_native.abi3.so", "rosplc/ros/dds/_batch.abi3.so"}
+        assert core == {
+            f"rosplc/{name}.abi3.so" for name in ("_core/_native", "ros/dds/_batch", "ros/rospy/_tcp")
+        }
         assert "-cp311-abi3-" in wheel.name
     assert {Path(name).name for name in information} >= {"METADATA", "LICENSE", "entry_points.txt"}
     with tarfile.open(sources) as archive:

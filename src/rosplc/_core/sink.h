@@ -1,6 +1,6 @@
 /* How one extension module hands messages to another, without Python in between: a capsule named ROSPLC_SINK around
  * a rosplc_sink, which lives as long as the capsule. The channel's sinks are in py_sink.c, those of DDS in
- * ros/dds/batch.c; neither module knows the other.
+ * ros/dds/batch.c, those of ROS 1 in ros/rospy/tcp.c; no module knows another.
  */
 #ifndef ROSPLC_SINK_H
 #define ROSPLC_SINK_H

@@ -13,6 +13,7 @@ from xml.parsers.expat import ExpatError
 from rosplc.errors import BackendError, MessageTypeError
 from rosplc.model import TypeStore
 from rosplc.ros.rospy import slave, topics, wire
+from rosplc.ros.rospy._tcp import Loop
 from rosplc.ros.rospy.handshake import (
     Definition,
     HandshakeError,
@@ -50,6 +51,29 @@ def _header(data: bytes) -> None:
         written = wire.save_definition(found, folder)
         assert all(path.resolve().is_relative_to(folder) for path in written)
         assert found.type_name in TypeStore.bundled("noetic").with_paths([folder]) or not written
+
+
+def _stream(choices: Choices) -> None:
+    """What follows the headers: messages behind their length, in whatever parts they come."""
+    most, loop, sent, got = 5000, Loop(5000), b"", []
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        loop.receive(ours.fileno(), None, None)
+        while (part := choices.part()[:60_000]) and len(sent) < 60_000:
+            sent += part
+            with suppress(BrokenPipeError):
+                theirs.sendall(part)
+            loop.wake()
+            for _, messages, _ in loop.wait():
+                got += messages
+        loop.remove(ours.fileno())
+    loop.close()
+    for message in got:
+        assert len(message) <= most
+        assert sent[:4] == len(message).to_bytes(4, "little")
+        assert sent[4 : 4 + len(message)] == message
+        sent = sent[4 + len(message) :]
+    assert len(sent) < 4 or int.from_bytes(sent[:4], "little") > min(most, len(sent) - 4)
 
 
 class _Answer:
@@ -154,12 +178,14 @@ def _raw(data: bytes) -> None:
 def check(data: bytes) -> None:
     """Whatever they say is refused with one of the backend's errors, or harmless."""
     choices = Choices(data)
-    how = choices.below(4)
+    how = choices.below(5)
     try:
         if how == 0:
             _header(choices.rest()[:3000])
         elif how == 1:
             _header(_from_fields(choices))
+        elif how == 4:
+            _stream(choices)
         elif how == 2:
             _answer(choices.rest())
         else:
@@ -202,6 +228,7 @@ def seeds() -> Iterator[bytes]:
     }  # fmt: skip
     yield b"\0" + encode_header(fields)
     yield b"\0" + encode_header({"error": "no"})
+    yield b"\4\3\0\0\0abc\4\0\0\xff\0abcd\xff\0\0\0\0\xff\xff\xff\xff\x7f"
     own = (
         "uint8 A=1\nstring B=x # y\nHeader header\nInner[] in\ntime t\n"
         + "=" * 80

@@ -15,11 +15,12 @@ from rosplc.clock import SYSTEM
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
-from rosplc.ros.rospy import handshake
+from rosplc.ros.rospy import handshake, topics
+from rosplc.ros.rospy._tcp import Outlet, Sender
 from rosplc.ros.rospy.handshake import Definition, mismatch
 from rosplc.ros.rospy.master import Master, read_address
 from rosplc.ros.rospy.services import RospyClient, _Link
-from rosplc.ros.rospy.topics import Incoming, Outgoing, RospySubscription, _Queue, cut
+from rosplc.ros.rospy.topics import Connections, Incoming, Outgoing, RospyPublisher, RospySubscription
 from rosplc_bench.process import free_port
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
@@ -211,33 +212,47 @@ def test_messages_beyond_the_depth_give_way_and_are_counted() -> None:
     assert (subscription.status().received, subscription.status().dropped) == (3, 7)
 
 
-def test_stream_is_cut_into_messages() -> None:
-    """Whole messages are taken out wherever the stream was divided; the rest stays."""
-    stream = b"".join(len(part).to_bytes(4, "little") + part for part in (b"", b"abc", b"x" * 100))
-    buffer, got = bytearray(), []
-    for byte in stream + b"\5\0\0\0ab":
-        buffer.append(byte)
-        got += cut(buffer)
-    assert (got, bytes(buffer)) == ([b"", b"abc", b"x" * 100], b"\5\0\0\0ab")
-
-
-def test_subscriber_that_does_not_read_holds_the_newest_messages() -> None:
-    """A full queue lets the oldest message give way, and what then leaves is in order and whole."""
-    here, there = socket.socketpair()
-    there.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    topic = Outgoing(node(), "/t", DEFINITION)
-    queue = _Queue(here, "/peer", 3, SYSTEM)
-    topic._queues = (queue,)
-    messages = [bytes([number]) * 200_000 for number in range(12)]
-    lost = sum(topic.send(message, latch=False) for message in messages)
-    got, buffer = [], bytearray()
-    with there:
-        while len(got) < len(messages) - lost:
-            buffer += there.recv(1 << 20)
-            got += cut(buffer)
-        queue.close()
-    assert 0 < lost < 9
-    assert got == [*messages[: len(got) - 3], *messages[-3:]]
+def test_messages_go_into_the_sink_of_an_only_subscription(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sink takes what it can; what it cannot, and what two subscriptions share, is delivered."""
+    inbound, outbound = Connections("receive"), Connections("send")
+    ours = node(inbound=inbound, outbound=outbound, connecting=threading.BoundedSemaphore(1))
+    outgoing, incoming, got = Outgoing(ours, "/t", DEFINITION), Incoming(ours, "/t", DEFINITION), []
+    publisher = RospyPublisher(outgoing, Qos(depth=10))
+    outgoing.add(publisher)
+    subscriptions = [
+        RospySubscription(lambda payload, _, n=number: got.append((n, payload)), incoming, Qos(depth=10))
+        for number in (1, 2)
+    ]
+    incoming.add(subscriptions[0])
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        monkeypatch.setattr(topics, "request", lambda *_: server.getsockname())
+        incoming.publishers = ("http://localhost:1",)
+        incoming.update()
+        sock, _ = server.accept()
+        assert outgoing.accept(sock, handshake.read_header(sock, 5.0)) == ""
+    wait_for(incoming.matched)
+    sink = Outlet(Sender(outbound.loop), False)  # it has no subscribers: it takes everything
+    assert subscriptions[0].divert(sink)
+    assert publisher.write(b"1")
+    wait_for(lambda: got == [(1, b"1")])
+    sink.open(0)
+    publisher.write(b"2")
+    wait_for(lambda: sink.messages == 1)
+    incoming.add(subscriptions[1])
+    publisher.write(b"3")
+    wait_for(lambda: got[1:] == [(1, b"3"), (2, b"3")])
+    incoming.remove(subscriptions[1])
+    publisher.write(b"4")
+    wait_for(lambda: sink.messages == 2)
+    assert (subscriptions[0].status().received, subscriptions[1].status().received) == (4, 1)
+    assert (publisher.status().messages, publisher.status().dropped) == (4, 0)
+    publisher.open_sink(0)
+    for ending in (*outgoing.close(), *incoming.close()):
+        ending.join()
+        ending.end()
+    assert (incoming.matched(), outgoing.matched()) == (0, 0)
+    for connections in (inbound, outbound):
+        connections.close()
 
 
 # -- services

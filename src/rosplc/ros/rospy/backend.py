@@ -19,7 +19,7 @@ from rosplc.ros.rospy.master import Master, RefusedError, SystemState, Unreachab
 from rosplc.ros.rospy.parameters import MasterParameters
 from rosplc.ros.rospy.services import RospyClient, RospyServer
 from rosplc.ros.rospy.slave import Servers
-from rosplc.ros.rospy.topics import Incoming, Outgoing, RospyPublisher, RospySubscription
+from rosplc.ros.rospy.topics import Connections, Incoming, Outgoing, RospyPublisher, RospySubscription
 
 _logger = logging.getLogger("rosplc.ros.rospy")
 
@@ -96,7 +96,8 @@ class Registration:
             except UnreachableError as error:
                 self._lost(str(error))
         for one in (*wanted.values(), *self._node.clients()):
-            one.update()
+            if not isinstance(one, Outgoing):
+                one.update()
 
     def _watch(self, wanted: dict[Key, Registered]) -> None:
         node, uri = self._node.node, self._master.uri
@@ -189,6 +190,7 @@ class RospyBackend(BaseNode):
         except OSError as error:
             what = f"cannot listen at {address.bind or 'any address'}: {error}"
             raise BackendError("ROS010", what, where="ROS_IP") from error
+        self.inbound, self.outbound = Connections("rosplc-receive"), Connections("rosplc-send")
         self.uri = self._servers.uri  # the URI of its XML-RPC interface
         # where its services are called
         self.service_uri = f"rosrpc://{address.host}:{self._servers.data.port}"
@@ -413,6 +415,9 @@ class RospyBackend(BaseNode):
         for one in self._ending:
             with contextlib.suppress(RuntimeError):
                 one.join()
+            one.end()
+        for connections in (self.inbound, self.outbound):
+            connections.close()
 
 
 # Connect to a ROS 1 graph; arguments and errors as for `rosplc.ros.open_backend`.

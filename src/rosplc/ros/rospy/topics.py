@@ -1,24 +1,22 @@
-"""Topics: one connection and one thread for each publisher that is received, and for each subscriber.
+"""Topics: one connection for each publisher that is received, and for each subscriber.
 
 All subscriptions of the node to one topic share the connections: a publisher knows a subscriber by
-its node's name and keeps one connection for each.
+its node's name and keeps one connection for each. Messages pass in C (``tcp.c``): two threads of a node serve
+all its connections, and what a sink takes needs neither.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import select
 import socket
 import threading
-import time
-from collections import deque
-from typing import Any
+from typing import Any, NamedTuple
 
-from rosplc.clock import Clock
 from rosplc.ros._base import BasePublisher, BaseSubscription, Problem
-from rosplc.ros.backend import OnMessage, Qos
+from rosplc.ros.backend import OnMessage, Qos, Sink
 from rosplc.ros.rospy import handshake
+from rosplc.ros.rospy._tcp import Loop, Outlet, Sender
 from rosplc.ros.rospy.handshake import ANY, Topic
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, call, proxy
 
@@ -27,8 +25,8 @@ _logger = logging.getLogger("rosplc.ros.rospy")
 _RETRY_NS = 1_000_000_000  # after a lost connection; doubled with each attempt that fails
 _SLOWEST_NS = 8_000_000_000
 _REFUSED_NS = 60_000_000_000  # a publisher with another type logs each attempt
+
 LARGEST_MESSAGE = 1 << 30  # a length beyond this is no message but a stream out of step
-_READ = 65536
 
 # Of a subscriber that takes whatever a topic carries.
 ANY_TYPE = handshake.Definition(handshake.ANY, handshake.ANY, "")
@@ -57,24 +55,45 @@ def greet(
     )
 
 
-def cut(buffer: bytearray) -> list[bytes]:
-    """Take the whole messages out of a stream's bytes. Raises HandshakeError: A length is none."""
-    found, at, end = [], 0, len(buffer)
-    with memoryview(buffer) as view:
-        while end - at >= 4:
-            length = int.from_bytes(view[at : at + 4], "little")
-            if length > LARGEST_MESSAGE:
-                raise handshake.HandshakeError(f"a message of {length} bytes is announced")
-            if end - at - 4 < length:
-                break
-            found.append(bytes(view[at + 4 : at + 4 + length]))
-            at += 4 + length
-    del buffer[:at]
-    return found
+class Connections:
+    """The connections of a node in one direction, and the thread that serves them."""
+
+    def __init__(self, name: str) -> None:
+        self.loop = Loop(LARGEST_MESSAGE)
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closing:
+            for owner, messages, why in self.loop.wait():
+                try:
+                    if messages:
+                        owner.deliver(messages)
+                except Exception as error:
+                    _logger.exception("a connection had an error")
+                    why = f"it had an error: {error}"
+                if why is not None:
+                    owner.end(why)
+
+    def let_go(self, sock: socket.socket) -> None:
+        """Close a connection."""
+        self.loop.remove(sock.fileno())
+        with contextlib.suppress(OSError):
+            sock.shutdown(socket.SHUT_RDWR)
+        sock.close()
+
+    def close(self) -> None:
+        """End the thread; the last that is called."""
+        self._closing = True
+        self.loop.wake()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(1.0)  # a receiver may hang
+        self.loop.close()
 
 
 class Link:
-    """The connection to one publisher, and the thread that reads from it."""
+    """The connection to one publisher, and the thread that makes it."""
 
     def __init__(self, incoming: Incoming, uri: str, former: Link | None = None) -> None:
         self.uri = uri
@@ -94,9 +113,11 @@ class Link:
         self._thread.start()
 
     def close(self) -> None:
-        """Disconnect; the thread ends soon."""
+        """Disconnect."""
         self._closing = True
-        if (sock := self._sock) is not None:
+        if self.connected:
+            self.end()
+        elif (sock := self._sock) is not None:  # the thread notices
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
 
@@ -111,21 +132,46 @@ class Link:
             return []
         return handshake.connection_info(self._sock, self.uri, "i", self._incoming.topic)
 
+    def divert(self, capsule: object) -> None:
+        """Have what comes put into a sink, or delivered (None); ``linking`` is held."""
+        if self.connected and self._sock is not None:
+            self._incoming.node.inbound.loop.divert(self._sock.fileno(), capsule)
+
+    def deliver(self, messages: list[bytes]) -> None:
+        """Hand messages to the subscriptions."""
+        if not self._closing:
+            self._incoming.deliver(messages)
+
+    def end(self, why: str = "") -> None:
+        """Give the connection up, or take in that there is none; harmless twice."""
+        incoming = self._incoming
+        with incoming.linking:
+            if self.ended:
+                return
+            self.ended, self.connected = True, False
+            if self._sock is not None:
+                incoming.node.inbound.let_go(self._sock)
+            pause = _REFUSED_NS if self.problem is not None and self.problem[0] else self.pause_ns
+            self.retry_ns = incoming.node.clock.monotonic_ns() + pause
+        if why and not self._closing:
+            _logger.debug("%s: the connection to %s ended: %s", incoming.topic, self.node, why)
+        incoming.node.wake()
+
     def _run(self) -> None:
         incoming = self._incoming
         topic = incoming.topic
         try:
             with incoming.node.connecting:
-                if self._closing:
-                    return
-                place = request(self.uri, incoming.node.node, topic)
-                self._sock, header = greet(place, incoming.node.node, topic, incoming.definition)
-            if self._fits(header, place):
+                if not self._closing:
+                    place = request(self.uri, incoming.node.node, topic)
+                    self._sock, header = greet(place, incoming.node.node, topic, incoming.definition)
+            if self._sock is not None and self._fits(header, place):
                 self.problem = None
                 self.pause_ns = _RETRY_NS
-                self.connected = not self._closing
-                incoming.node.wake()
-                self._receive(self._sock)
+                with incoming.linking:
+                    if not self._closing:
+                        incoming.node.inbound.loop.receive(self._sock.fileno(), self, incoming.capsule)
+                        self.connected = True
         except RefusedError as error:
             self.problem = None
             # It has withdrawn the topic, and the master's list has not followed yet.
@@ -137,14 +183,10 @@ class Link:
             if not self._closing:
                 _logger.exception("%s: the connection to %s had an error", topic, self.uri)
                 self.problem = ("", f"the connection to {self.uri} had an error: {error}")
-        finally:
-            self.connected = False
-            if self._sock is not None:
-                self._sock.close()
-            self.ended = True
-            pause = _REFUSED_NS if self.problem is not None and self.problem[0] else self.pause_ns
-            self.retry_ns = incoming.node.clock.monotonic_ns() + pause
+        if self.connected:
             incoming.node.wake()
+        else:
+            self.end()
 
     def _fits(self, header: dict[str, str], place: tuple[str, int]) -> bool:
         incoming = self._incoming
@@ -162,18 +204,6 @@ class Link:
         self.problem = wrong
         return wrong is None
 
-    def _receive(self, sock: socket.socket) -> None:
-        sock.settimeout(None)
-        buffer = bytearray()
-        try:
-            while not self._closing and (part := sock.recv(_READ)):
-                buffer += part
-                if messages := cut(buffer):
-                    self._incoming.deliver(messages)
-        except (OSError, handshake.HandshakeError) as error:
-            if not self._closing:
-                _logger.debug("%s: the connection to %s ended: %s", self._incoming.topic, self.node, error)
-
 
 class Incoming(handshake.Topic):
     """One topic that the node receives."""
@@ -184,12 +214,31 @@ class Incoming(handshake.Topic):
         super().__init__(*arguments)
         self.publishers: tuple[str, ...] = ()
         self._lock = self.node.turn  # held while messages are handed over: one call at a time in the backend
-        self._linking = threading.Lock()
+        self.linking = threading.Lock()  # guards the connections
+        self.capsule: object = None  # the sink that they put messages into
         self._links: dict[str, Link] = {}
+
+    def add(self, handle: Any) -> None:
+        """Serve one more subscription."""
+        super().add(handle)
+        self.route()
+
+    def remove(self, handle: Any) -> None:
+        """Serve it no longer."""
+        super().remove(handle)
+        self.route()
+
+    def route(self) -> None:
+        """Lead what comes into the sink of the only subscription, if that has one."""
+        with self.linking:
+            sinks = [one.sink for one in self.handles]
+            self.capsule = sinks[0].capsule if len(sinks) == 1 and sinks[0] is not None else None
+            for link in self._links.values():
+                link.divert(self.capsule)
 
     def links(self) -> tuple[Link, ...]:
         """Return the connections, made or being made."""
-        with self._linking:
+        with self.linking:
             return tuple(self._links.values())
 
     def matched(self) -> int:
@@ -213,7 +262,7 @@ class Incoming(handshake.Topic):
         """Connect to every publisher that the master names, and leave those that it no longer names."""
         now = self.node.clock.monotonic_ns()
         named = dict.fromkeys(self.publishers)
-        with self._linking:
+        with self.linking:
             # A connection that works outlives its registration: masters come and go.
             gone = [link for uri, link in self._links.items() if uri not in named and not link.connected]
             for link in gone:
@@ -230,7 +279,7 @@ class Incoming(handshake.Topic):
             link.start()
 
     def deliver(self, batch: list[bytes]) -> None:
-        """Hand messages to the subscriptions; called by the connections' threads."""
+        """Hand messages to the subscriptions; called by one thread."""
         stamp_ns = self.node.clock.time_ns()
         with self._lock:
             for subscription in self.handles:
@@ -242,7 +291,7 @@ class Incoming(handshake.Topic):
 
     def close(self) -> tuple[Link, ...]:
         """Disconnect; return the connections, whose threads are about to end."""
-        with self._linking:
+        with self.linking:
             self._closed = True
             links = tuple(self._links.values())
             self._links.clear()
@@ -261,6 +310,12 @@ class RospySubscription(BaseSubscription):
     def _matched(self) -> int:
         return self.shared.matched()
 
+    def divert(self, sink: Sink) -> bool:
+        """Give the sink what comes; see :data:`rosplc.ros.backend.Sink`."""
+        self.sink = sink
+        self.shared.route()
+        return True
+
     def receive(self, batch: list[bytes], stamp_ns: int) -> None:
         """Take messages that arrived together, the newest ``depth``; the backend's turn is held."""
         late = len(batch) - self.qos.depth
@@ -274,89 +329,18 @@ class RospySubscription(BaseSubscription):
 
 
 _FLUSH_NS = 500_000_000  # how long the last messages of a publisher may take to leave
-_GONE = select.POLLHUP | select.POLLERR | select.POLLRDHUP | select.POLLNVAL
 
 
-class _Queue:
-    """The connection to a subscriber; one that does not read holds ``depth`` messages and one more."""
+class Peer(NamedTuple):
+    """The connection to a subscriber."""
 
-    def __init__(self, sock: socket.socket, node: str, depth: int, clock: Clock) -> None:
-        self.sock, self.node = sock, node
-        self.done = False
-        self._depth, self._clock = depth, clock
-        self._news = threading.Condition()
-        self._idle = threading.Event()  # nothing waits, or the connection has ended
-        self._idle.set()
-        self._waiting: deque[bytes | memoryview] = deque()
-        self._begun: bytes | memoryview = b""  # the rest of a message that has begun: it cannot give way
-        self._thread = threading.Thread(target=self._run, name=f"rosplc-to-{node}", daemon=True)
-        self._thread.start()
+    outgoing: Outgoing
+    sock: socket.socket
+    node: str
 
-    def write(self, data: bytes) -> bool:
-        """Send or queue a message; return False if the oldest had to give way. Never blocks.
-
-        While nothing waits, the message goes out from here: waking the thread would cost more than
-        all the rest of its way.
-
-        Raises OSError: The subscriber has gone.
-        """
-        with self._news:
-            if self.done:
-                raise BrokenPipeError
-            if self._idle.is_set():
-                sent = self._send(data)
-                if sent == len(data):
-                    return True
-                self._idle.clear()
-                if sent:
-                    self._begun = memoryview(data)[sent:]
-                    self._news.notify()
-                    return True
-            full = len(self._waiting) >= self._depth
-            if full:
-                self._waiting.popleft()
-            self._waiting.append(data)
-            self._news.notify()
-        return not full
-
-    def _send(self, data: bytes) -> int:
-        try:
-            return self.sock.send(data, socket.MSG_DONTWAIT)
-        except BlockingIOError:
-            return 0
-
-    def _run(self) -> None:
-        while True:
-            with self._news:
-                while not self.done and not self._waiting and not self._begun:
-                    self._idle.set()
-                    self._news.wait()
-                if self.done:
-                    break
-                data, self._begun = self._begun or self._waiting.popleft(), b""
-            try:
-                self.sock.sendall(data)
-            except OSError:
-                self.done = True
-        self._idle.set()
-        self.sock.close()
-
-    def flush(self, deadline_ns: int) -> None:
-        """Wait until everything has gone out, at most to a point in time."""
-        self._clock.wait(self._idle, deadline_ns - self._clock.monotonic_ns())
-
-    def close(self) -> None:
-        """Disconnect; the thread ends."""
-        with self._news:
-            self.done = True
-            self._news.notify()
-        with contextlib.suppress(OSError):
-            self.sock.shutdown(socket.SHUT_RDWR)
-
-    def join(self) -> None:
-        """Wait a moment for the thread."""
-        if self._thread is not threading.current_thread():
-            self._thread.join(1.0)
+    def end(self, why: str = "") -> None:
+        """Give the connection up."""
+        self.outgoing.leave(self)
 
 
 class Outgoing(Topic):
@@ -368,8 +352,8 @@ class Outgoing(Topic):
         super().__init__(*arguments)
         # nodes that were refused: when (monotonic ns), code and words
         self.strangers: dict[str, tuple[int, tuple[str, str]]] = {}
-        self._queues: tuple[_Queue, ...] = ()
-        self._latched: bytes | None = None
+        self.sender = Sender(self.node.outbound.loop)
+        self._peers: tuple[Peer, ...] = ()
 
     @property
     def latching(self) -> bool:
@@ -378,11 +362,11 @@ class Outgoing(Topic):
 
     def subscribers(self) -> frozenset[str]:
         """Return the names of the nodes that are connected."""
-        return frozenset(queue.node for queue in self._queues if not queue.done)
+        return frozenset(peer.node for peer in self._peers)
 
     def matched(self) -> int:
         """Return how many subscribers are connected."""
-        return sum(not queue.done for queue in self._queues)
+        return len(self._peers)
 
     def accept(self, sock: socket.socket, header: dict[str, str]) -> str:
         """Serve a subscriber that has connected; return why not, or an empty text."""
@@ -401,70 +385,45 @@ class Outgoing(Topic):
             if self._closed:
                 return f"topic {self.topic} is no longer published"
             depth = max((publisher.qos.depth for publisher in self.handles), default=1)
-            queue = _Queue(sock, node, depth, self.node.clock)
-            former = [q for q in self._queues if q.node == node and node != ANY]
-            if self._latched is not None and self.latching:
-                with contextlib.suppress(OSError):
-                    queue.write(self._latched)
-            self._queues = (*(q for q in self._queues if q not in former), queue)
+            peer = Peer(self, sock, node)
+            former = [one for one in self._peers if one.node == node and node != ANY]
+            # One that does not read holds `depth` messages, the oldest of which give way, and one more.
+            self.sender.add(sock.fileno(), peer, depth, self.latching)
+            self._peers += (peer,)
             if theirs[1] != ANY:  # one that was refused asks once more, for any type, to learn why
                 self.strangers.pop(node, None)
         for one in former:  # as rospy does: one connection for each node
-            one.close()
+            one.end()
         self.node.wake()
         return ""
 
-    def send(self, payload: bytes, latch: bool) -> int:
-        """Queue a message for every subscriber; return how many messages had to give way."""
-        frame = len(payload).to_bytes(4, "little") + payload
-        lost = 0
-        failed = []
+    def leave(self, peer: Peer) -> None:
+        """Disconnect a subscriber; harmless twice."""
         with self._lock:
-            if latch:
-                self._latched = frame
-            for queue in self._queues:
-                try:
-                    lost += not queue.write(frame)
-                except OSError:  # the subscriber has gone
-                    failed.append(queue)
-            if failed:
-                self._queues = tuple(queue for queue in self._queues if queue not in failed)
-        for queue in failed:
-            queue.close()
-        if self._queues:
-            time.sleep(0)  # as rospy does: lets the threads of queues and receivers run now
-        return lost
-
-    def update(self) -> None:
-        """Forget subscribers that have closed the connection: nothing is read from it to notice."""
-        queues = {queue.sock.fileno(): queue for queue in self._queues if not queue.done}
-        poller = select.poll()
-        for number in queues:
-            if number >= 0:  # it may end at this moment
-                poller.register(number, _GONE)
-        gone = [queues[number] for number, _ in poller.poll(0)]
-        gone += [queue for queue in self._queues if queue.done]
-        if gone:
-            with self._lock:
-                self._queues = tuple(queue for queue in self._queues if queue not in gone)
-            for queue in gone:
-                queue.close()
+            left = tuple(one for one in self._peers if one is not peer)
+            there = len(left) < len(self._peers)
+            self._peers = left
+        if there:
+            self.node.outbound.let_go(peer.sock)
+            self.node.wake()
 
     def info(self) -> list[list[Any]]:
         """Return what ``rosnode info`` prints of the connections."""
-        ends = [(queue.sock, queue.node) for queue in self._queues]
+        ends = [(peer.sock, peer.node) for peer in self._peers]
         return [row for end in ends for row in handshake.connection_info(*end, "o", self.topic)]
 
-    def close(self) -> tuple[_Queue, ...]:
-        """Disconnect; return the queues, whose threads are about to end."""
+    def close(self) -> tuple[Link, ...]:
+        """Disconnect, once everything has gone out or a moment has passed."""
         with self._lock:
             self._closed = True
-            queues, self._queues = self._queues, ()
-        deadline_ns = self.node.clock.monotonic_ns() + _FLUSH_NS
-        for queue in queues:
-            queue.flush(deadline_ns)
-            queue.close()
-        return queues
+        self.sender.close()
+        clock = self.node.clock
+        deadline_ns = clock.monotonic_ns() + _FLUSH_NS
+        while self.sender.waiting and clock.monotonic_ns() < deadline_ns:
+            clock.sleep(1_000_000)
+        for peer in self._peers:
+            peer.end()
+        return ()
 
 
 class RospyPublisher(BasePublisher):
@@ -477,9 +436,15 @@ class RospyPublisher(BasePublisher):
         super().__init__(shared.node, shared.topic, shared.definition.type_name, qos)
         self.shared = shared
         self._latch = qos.durability == "transient_local"
+        self.sink = self._outlet = Outlet(shared.sender, self._latch)
 
     def _matched(self) -> int:
         return self.shared.matched()
+
+    def open_sink(self, limit_ns: int) -> None:
+        """Let messages pass; see :data:`rosplc.ros.backend.Sink`."""
+        if not self.closed:
+            self._outlet.open(limit_ns)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`.
@@ -493,7 +458,7 @@ class RospyPublisher(BasePublisher):
         if self.closed:
             raise self._closed()
         self._node.usable()
-        lost = self.shared.send(bytes(payload), self._latch)
+        lost = self.shared.sender.write(bytes(payload), self._latch)
         with self._lock:
             # With one subscriber, sent and dropped add up to what was written.
             self._messages += not lost

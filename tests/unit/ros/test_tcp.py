@@ -1,0 +1,250 @@
+"""rosplc.ros.rospy._tcp: streams of messages, hostile ones among them, full queues, sinks on both sides."""
+
+from __future__ import annotations
+
+import random
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from rosplc.codec import Codec
+from rosplc.layout import compute_layout
+from rosplc.model import TypeStore
+from rosplc.ros.rospy._tcp import Loop, Outlet, Sender
+from rosplc.shm import Direction, Group, Namespace, Sink, attach
+from tests.lib.channels import open_channel
+from tests.lib.waiting import wait_for
+
+MOST = 1 << 20
+Pair = tuple[socket.socket, socket.socket]
+
+
+def frame(payload: bytes) -> bytes:
+    """Return a message as it is on a connection."""
+    return len(payload).to_bytes(4, "little") + payload
+
+
+def cut(stream: bytes) -> tuple[list[bytes], bool]:
+    """Return the whole messages of a stream, and whether a length follows that cannot be: the oracle."""
+    found, at = [], 0
+    while len(stream) - at >= 4:
+        length = int.from_bytes(stream[at : at + 4], "little")
+        if length > MOST:
+            return found, True
+        if len(stream) - at - 4 < length:
+            break
+        found.append(stream[at + 4 : at + 4 + length])
+        at += 4 + length
+    return found, False
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    """Give both ends of a connection with little room in it."""
+    with ExitStack() as stack:
+        server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        theirs = stack.enter_context(socket.socket())
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        theirs.connect(server.getsockname())
+        theirs.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        yield stack.enter_context(server.accept()[0]), theirs
+
+
+def read(sock: socket.socket, count: int) -> list[bytes]:
+    """Read so many messages."""
+    stream = b""
+    while len(found := cut(stream)[0]) < count:
+        part = sock.recv(1 << 20)
+        assert part
+        stream += part
+    return found
+
+
+def everything(loop: Loop) -> tuple[list[bytes], str]:
+    """Serve one connection to its end; return its messages and why it ended."""
+    got: list[bytes] = []
+    while True:
+        for _, messages, why in loop.wait():
+            got += messages
+            if why is not None:
+                return got, why
+
+
+def test_a_stream_is_cut_into_messages_wherever_it_is_divided(pair: Pair) -> None:
+    """Byte by byte, whole messages come, and what has begun is dropped at the end."""
+    ours, theirs = pair
+    loop = Loop(MOST)
+    loop.receive(ours.fileno(), self := object(), None)
+    messages = [b"", b"abc", b"x" * 100]
+    for byte in b"".join(map(frame, messages)):
+        theirs.send(bytes([byte]))
+    got: list[bytes] = []
+    while len(got) < 3:
+        for owner, more, why in loop.wait():
+            assert (owner, why) == (self, None)
+            got += more
+    theirs.send(b"\5\0\0\0ab")
+    theirs.close()
+    assert (got, everything(loop)) == (messages, ([], "it was closed"))
+    loop.remove(ours.fileno())
+    loop.remove(ours.fileno())
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_hostile_streams_are_cut_as_the_oracle_cuts_them(pair: Pair, seed: int) -> None:
+    """Whatever is sent in whatever parts, what the oracle finds comes out, and lengths have a bound."""
+    ours, theirs = pair
+    draw = random.Random(seed)
+    stream = b"".join(frame(draw.randbytes(draw.choice((0, 1, 7, 200, 70_000)))) for _ in range(30))
+    if seed % 2:
+        broken = bytearray(stream)
+        for _ in range(1 + seed % 5):
+            broken[draw.randrange(len(broken))] = draw.randrange(256)
+        stream = bytes(broken) + draw.randbytes(50)
+    found, impossible = cut(stream)
+
+    def send() -> None:
+        at = 0
+        try:
+            while at < len(stream):
+                at += theirs.send(stream[at : at + draw.choice((1, 3, 200, 5000, 100_000))])
+        except OSError:
+            pass
+        theirs.close()
+
+    loop = Loop(MOST)
+    loop.receive(ours.fileno(), None, None)
+    thread = threading.Thread(target=send)
+    thread.start()
+    got, why = everything(loop)
+    loop.remove(ours.fileno())
+    ours.close()
+    thread.join()
+    assert got == found
+    assert ("is announced" in why) == impossible
+
+
+def test_a_removed_connection_is_let_go() -> None:
+    """Nothing of it is kept, and its number may be another one's."""
+    loop = Loop(MOST)
+    for _ in range(3):
+        ours, theirs = socket.socketpair()
+        with ours, theirs:
+            loop.receive(ours.fileno(), "owner", None)
+            with pytest.raises(OSError, match="cannot be watched"):
+                loop.receive(ours.fileno(), "owner", None)
+            theirs.sendall(frame(b"one") + b"\1")
+            assert loop.wait() == [("owner", [b"one"], None)]
+            loop.remove(ours.fileno())
+            theirs.sendall(frame(b"two"))
+            loop.wake()
+            assert loop.wait() == []
+    with pytest.raises(ValueError, match="closed"):
+        loop.receive(-1, None, None)
+    with pytest.raises(ValueError, match="PyCapsule"):
+        loop.divert(0, object())
+
+
+def test_a_subscriber_that_does_not_read_holds_the_newest_messages(pair: Pair) -> None:
+    """A full queue lets the oldest message give way, and what then leaves is in order and whole."""
+    ours, theirs = pair
+    loop = Loop(MOST)
+    sender = Sender(loop)
+    sender.add(ours.fileno(), "peer", 3, False)
+    messages = [bytes([number]) * 200_000 for number in range(12)]
+    lost = sum(sender.write(message, False) for message in messages)
+    assert sender.waiting == 4
+    thread = threading.Thread(target=loop.wait)
+    thread.start()
+    got = read(theirs, len(messages) - lost)
+    wait_for(lambda: not sender.waiting)
+    loop.wake()
+    thread.join()
+    assert lost == 8
+    assert got == [messages[0], *messages[-3:]]
+    theirs.close()
+    assert loop.wait() == [("peer", [], "it was closed")]
+    assert [sender.write(b"", False) for _ in range(3)] == [0, 0, 0]
+    loop.remove(ours.fileno())
+
+
+def test_latched_messages_come_first(pair: Pair) -> None:
+    """A late subscriber gets the last message that was to be kept, if there is a latching publisher."""
+    ours, theirs = pair
+    sender = Sender(Loop(MOST))
+    assert sender.write(b"kept", True) + sender.write(b"not", False) == 0
+    sender.add(ours.fileno(), None, 1, True)
+    sender.write(b"next", True)
+    assert read(theirs, 2) == [b"kept", b"next"]
+    other, far = socket.socketpair()
+    with other, far:
+        sender.add(other.fileno(), None, 1, False)
+        sender.write(b"last", False)
+        assert read(far, 1) == [b"last"]
+
+
+def test_messages_pass_between_channels_and_connections(shm_namespace: Namespace, pair: Pair) -> None:
+    """Through sinks they become no bytes in Python; a full queue and an end close the outlet."""
+    codec = Codec(compute_layout(TypeStore.bundled("noetic"), "geometry_msgs/msg/Twist"))
+    ours, theirs = pair
+    loop, ends = Loop(MOST), []
+    with ExitStack() as stack:
+        for name, direction in (("/in", Direction.TO_PLC), ("/out", Direction.TO_ROS)):
+            owned = open_channel(shm_namespace, direction, topic=name, record_size=48, slots=8)
+            stack.callback(owned.close)
+            attached = attach(shm_namespace, name, direction=direction, write=True)
+            stack.callback(attached.close)
+            ends.append((owned, attached))
+        (to_plc, plc_in), (to_ros, plc_out) = ends
+        records = [bytes([number]) * 48 for number in range(1, 6)]
+        sink, reader, record = Sink(), plc_in.reader(), bytearray(48)
+        sink.open(to_plc.writer(1000), codec.plan, False, 0)
+        loop.receive(theirs.fileno(), "owner", sink.capsule)
+        sender = Sender(loop)
+        outlet = Outlet(sender, False)
+        sender.add(ours.fileno(), "peer", 2, False)
+        group, writer = Group(), plc_out.writer(1000)
+        index = group.add_reader(to_ros.reader(), codec.plan, 1)
+        group.divert(index, outlet.capsule)
+        writer.publish(records[0])
+        assert group.take()[0][0][1] == records[0]  # it is closed: Python's
+        outlet.open(0)
+        for one in records[1:4]:
+            writer.publish(one)
+            assert group.take() == ([], [])
+        loop.wake()
+        assert loop.wait() == []
+        taken = []
+        while reader.next(record) is not None:
+            taken.append(bytes(record))
+        assert (taken, outlet.messages, sink.messages) == (records[1:4], 3, 3)
+        sink.close()
+        writer.publish(records[4])
+        assert group.take() == ([], [])
+        assert loop.wait() == [("owner", [records[4]], None)]
+        loop.divert(theirs.fileno(), None)
+        loop.remove(theirs.fileno())
+        while sender.waiting < 3:
+            sender.write(bytes(50_000), False)
+        writer.publish(records[0])
+        assert len(group.take()[0]) == 1  # a queue is full: Python counts what gives way
+        loop.remove(ours.fileno())
+        outlet.open(0)
+        sender.close()
+        writer.publish(records[0])
+        assert len(group.take()[0]) == 1
+    assert outlet.messages == 4
+
+
+def test_what_cannot_be_sent_is_refused() -> None:
+    """More bytes than a message has are an error, and so are ends that are none."""
+    loop: Any = Loop(10)
+    with pytest.raises(OverflowError, match="at most 10 bytes"):
+        Sender(loop).write(bytes(11), False)
+    with pytest.raises(TypeError):
+        Sender(object())  # type: ignore[arg-type]
