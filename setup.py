@@ -11,7 +11,17 @@ from pathlib import Path
 from setuptools import Extension, setup
 
 ABI3 = sys.version_info >= (3, 11)
-CORE = ["module.c", "py_channel.c", "py_writer.c", "py_reader.c", "py_plan.c", "py_group.c", "py_sink.c"]
+CORE = [
+    "module.c",
+    "py_channel.c",
+    "py_writer.c",
+    "py_reader.c",
+    "py_plan.c",
+    "py_group.c",
+    "py_sink.c",
+    "py_record.c",
+    "py_pack.c",
+]
 EXTENSIONS = {
     "rosplc._core._native": [f"src/rosplc/_core/{name}" for name in CORE],
     "rosplc.ros.dds._batch": ["src/rosplc/ros/dds/batch.c"],

@@ -1,6 +1,6 @@
 """The C core; one section per C file."""
 
-from typing import final
+from typing import Any, Literal, final
 
 from _typeshed import ReadableBuffer, WriteableBuffer
 
@@ -127,6 +127,11 @@ class Writer:
 
         Raises SHM111, SHM112 (open the name again) or SHM115 (claim lost).
         """
+    def publish_value(self, shape: Shape, value: object, stamp_ns: int | None, until: float, /) -> int:
+        """Publish the record of a value, stamped (None: now); raises as publish() and Shape.pack().
+
+        Returns 0, with nothing done, once the monotonic clock has reached ``until`` (s).
+        """
     def publish_wire(
         self,
         plan: Plan,
@@ -198,6 +203,14 @@ class Reader:
         """As next(), as an object of its own."""
     def peek_record(self) -> tuple[bytes, SlotInfo] | None:
         """As peek(), as an object of its own."""
+    def view(self, shape: Shape, mode: int, until: float, /) -> View | Literal[False] | None:
+        """Return a view of a copy of the newest (mode 0), the next (1) or the current message (2).
+
+        Returns False, with nothing taken, once the monotonic clock has reached ``until`` (s).
+        """
+    @property
+    def info(self) -> SlotInfo | None:
+        """What the slot says about the message that view() returned last."""
     def latest_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:
         """As latest(), encoded straight out of the slot. Raises Fault; the message counts as taken."""
     def next_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:
@@ -226,6 +239,44 @@ def distance(a: int, b: int, slot_count: int, /) -> int:
 
 def next_sequence(s: int, slot_count: int, /) -> int:
     """Return the sequence after s (section 7.1)."""
+
+# ---- py_record.c: records as Python objects
+
+class View:
+    """A record's bytes; the base of ``rosplc.layout.RecordView``."""
+
+    def __copy__(self) -> View: ...
+    def __deepcopy__(self, memo: dict[int, Any], /) -> View: ...
+    def __getattr__(self, name: str) -> Any: ...
+    def _to_dict(self, elements: int = ..., excerpt: type[Any] = ..., /) -> dict[str, Any]:
+        """Return the message as dicts and lists; an array that is longer as ``excerpt(start, length)``."""
+
+@final
+class Shape:
+    """A struct of a layout: packs values and reads records.
+
+    ``fields`` are tuples: name, another attribute that may hold the value (or None), kind (a primitive,
+    "string" or a Shape), offset, bytes of an element, its number (-1: no array), the count's offset (-1:
+    none). Views are instances of a subclass of ``base``. Raises ValueError if a field leaves the struct,
+    LayoutError LAY006 if a default value does not fit.
+    """
+
+    def __new__(
+        cls,
+        type_name: str,
+        size: int,
+        fields: tuple[tuple[object, ...], ...],
+        defaults: dict[str, Any],
+        base: type[View],
+        /,
+    ) -> Shape: ...
+    @property
+    def initial(self) -> bytes:
+        """The record of a message that nobody has filled."""
+    def pack(self, value: object, /) -> bytearray:
+        """Return the record of a message. Raises LayoutError LAY006 with the field's path."""
+    def view(self, buffer: ReadableBuffer, /) -> View:
+        """Return a view of the record at a buffer's start. Raises LayoutError LAY006: it is too small."""
 
 # ---- py_sink.c: messages from another extension module
 

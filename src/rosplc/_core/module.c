@@ -6,10 +6,12 @@ int rosplc_add_channel(PyObject *module); /* py_channel.c */
 int rosplc_add_plan(PyObject *module);    /* py_plan.c */
 int rosplc_add_group(PyObject *module);   /* py_group.c */
 int rosplc_add_sink(PyObject *module);    /* py_sink.c */
+int rosplc_add_record(PyObject *module);  /* py_record.c */
 
 static int exec_module(PyObject *module)
 {
-    if (rosplc_add_channel(module) || rosplc_add_plan(module) || rosplc_add_group(module) || rosplc_add_sink(module))
+    if (rosplc_add_channel(module) || rosplc_add_plan(module) || rosplc_add_group(module) || rosplc_add_sink(module)
+        || rosplc_add_record(module))
         return -1;
     return 0;
 }

@@ -42,6 +42,7 @@ typedef struct {
     uint8_t *wire;   /* of `wire_size` bytes */
     size_t wire_size;
     ch_gate gate;
+    rosplc_take taken; /* what view() returned last */
 } ReaderObject;
 
 extern PyTypeObject *ch_region_type, *ch_writer_type, *ch_reader_type;
@@ -71,6 +72,15 @@ int ch_as_u64(PyObject *value, const char *name, uint64_t *out);
 
 /* A new SlotInfo. */
 PyObject *ch_slot_info(const rosplc_take *take);
+
+/* py_record.c: the size of a _native.Shape's records, or -1 with TypeError for another object; a value as a
+ * record, -1 with LayoutError or what the value's own code raises; the fields of a record in a bytes object. */
+Py_ssize_t rp_shape_size(PyObject *shape);
+int rp_shape_pack(PyObject *shape, PyObject *value, uint8_t *record);
+PyObject *rp_shape_view(PyObject *shape, PyObject *bytes);
+
+/* Whether the monotonic clock has reached a float, in seconds, to a few ms; -1 with TypeError. */
+int ch_reached(PyObject *seconds);
 
 /* Random and not 0: claims. -1 with OSError. */
 int ch_random_claim(uint32_t *out);

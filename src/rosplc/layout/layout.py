@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any, TypeAlias
 
-from rosplc.errors import LayoutError
+from rosplc._core import Shape
 from rosplc.layout.nodes import Limits, Node, StructNode, compute_struct, layout_difference, layout_text, walk
-from rosplc.layout.pack import Misfit, StructPacker
-from rosplc.layout.view import RecordView, StructReader, plain
+from rosplc.layout.view import Excerpt, RecordView, shape_of
 from rosplc.model import TypeStore
 
 Buffer: TypeAlias = "bytes | bytearray | memoryview"
@@ -98,7 +97,7 @@ class Layout:
 
     def initial(self) -> bytes:
         """Return the record of a message that nobody has filled: its default values, else zeros."""
-        return self._packer.initial
+        return self.shape.initial
 
     def pack(self, value: Mapping[str, Any] | RecordView | object) -> bytearray:
         """Return the record of a message. Raises LayoutError LAY006, naming the field's path.
@@ -107,12 +106,7 @@ class Layout:
         message), nested as the type is. What it lacks takes its initial value. Numbers in bulk are fastest as
         bytes, array.array or numpy arrays of the field's own type.
         """
-        record = bytearray(self._packer.initial)
-        try:
-            self._packer(record, 0, value)
-        except Misfit as misfit:
-            raise LayoutError("LAY006", misfit.what, where=misfit.where() or self.type_name) from None
-        return record
+        return self.shape.pack(value)
 
     def pack_into(
         self, value: Mapping[str, Any] | RecordView | object, buffer: bytearray | memoryview
@@ -121,17 +115,16 @@ class Layout:
 
         The buffer changes only if all fits. Raises LayoutError LAY006: a value, or the buffer, does not.
         """
-        target = self._bytes(buffer)
-        target[: self.size] = self.pack(value)
+        self.shape.view(buffer)  # or it is refused
+        memoryview(buffer).cast("B")[: self.size] = self.shape.pack(value)
 
     def view(self, buffer: Buffer) -> RecordView:
         """Return a view that reads from ``buffer`` at each access; LAY006: it is smaller than a record."""
-        return self._reader.view(self._bytes(buffer), 0)
+        return self.shape.view(buffer)  # type: ignore[return-value] # of the class that it was given
 
     def to_dict(self, buffer: Buffer) -> dict[str, Any]:
         """Return a record as nested dicts and lists, with the fields in their order."""
-        result: dict[str, Any] = plain(self.view(buffer))
-        return result
+        return self.shape.view(buffer)._to_dict()
 
     def excerpt(self, buffer: Buffer, elements: int) -> dict[str, Any]:
         """Return a record as :meth:`to_dict` does, arrays with so many of their first elements at most.
@@ -139,27 +132,9 @@ class Layout:
         It costs what it returns, where a picture or a point cloud would be a million numbers. An array that
         is longer becomes an :class:`rosplc.layout.view.Excerpt`, a list that knows the whole length.
         """
-        data, reader = self._bytes(buffer), self._excerpts.get(elements)
-        if reader is None:
-            reader = self._excerpts[elements] = StructReader(self.root, elements)
-        result: dict[str, Any] = plain(reader.view(data, 0))
-        return result
+        return self.shape.view(buffer)._to_dict(elements, Excerpt)
 
     @cached_property
-    def _excerpts(self) -> dict[int, StructReader]:
-        return {}
-
-    @cached_property
-    def _packer(self) -> StructPacker:
-        return StructPacker(self.root, self.store)
-
-    @cached_property
-    def _reader(self) -> StructReader:
-        return StructReader(self.root)
-
-    def _bytes(self, buffer: Buffer) -> memoryview:
-        data = memoryview(buffer).cast("B")
-        if data.nbytes < self.size:
-            what = f"the buffer has {data.nbytes} bytes, a record {self.size}"
-            raise LayoutError("LAY006", what, where=self.type_name)
-        return data
+    def shape(self) -> Shape:
+        """What packs and reads records, in the C core."""
+        return shape_of(self.root, self.store)
