@@ -89,7 +89,6 @@ class Channel:
     Attributes:
         topic: The topic as ROS writes it.
         layout: The record's layout.
-        info: Slot header of the message returned last (sequence, stamp, flags, lost), or None.
     """
 
     def __init__(
@@ -103,7 +102,7 @@ class Channel:
         task: str,
     ) -> None:
         self.topic = topic
-        self.info: SlotInfo | None = None
+        self._info: SlotInfo | None = None
         self._namespace = namespace
         self._write = write
         self._latched = latched
@@ -137,6 +136,11 @@ class Channel:
         return self._attached is not None
 
     @property
+    def info(self) -> SlotInfo | None:
+        """Slot header of the message returned last (sequence, stamp, flags, lost), or None."""
+        return self._reader.info or self._info
+
+    @property
     def lost(self) -> int:
         """Messages that this channel has missed, skipped ones included."""
         return self._lost_before + (self._reader.lost if self._attached is not None else 0)
@@ -158,11 +162,11 @@ class Channel:
 
         Messages in between are skipped and counted in :attr:`lost`.
         """
-        return self._take("latest_record")
+        return self._take(0)
 
     def current(self) -> RecordView | None:
         """Return the newest message, new or not; None if there is none."""
-        return self._take("peek_record")
+        return self._take(2)
 
     def every(self, timeout: float | None = 0.0, *, poll: float = 0.001) -> Iterator[RecordView]:
         """Yield messages in order, each once.
@@ -171,7 +175,7 @@ class Channel:
         None waits for ever. ``poll`` is the time between two looks, in seconds.
         """
         while True:
-            message = self._wait("next_record", timeout, poll)
+            message = self._wait(1, timeout, poll)
             if message is None:
                 return
             yield message
@@ -182,7 +186,7 @@ class Channel:
         ``poll`` is the time between two looks, in seconds. Nobody has to wake this program up, which is what
         keeps a PLC's scan free of system calls.
         """
-        return self._wait("latest_record", timeout, poll)
+        return self._wait(0, timeout, poll)
 
     def write(self, value: Mapping[str, Any] | RecordView | object, *, stamp_ns: int | None = None) -> int:
         """Publish a message towards ROS, and return its sequence number.
@@ -194,18 +198,19 @@ class Channel:
         """
         if not self._write:
             raise ChannelError("SHM122", "attached for reading only", where=self.topic)
-        stamp = time.time_ns() if stamp_ns is None else stamp_ns
-        for attempt in range(2):
-            self._need()
-            record = self.layout.pack(value)  # only now: another object may have another layout
+        again = True
+        while True:
             try:
-                assert self._writer is not None
-                return self._writer.publish(record, stamp_ns=stamp)
+                if self._attached is not None:
+                    assert self._writer is not None
+                    if sequence := self._writer.publish_value(self._shape, value, stamp_ns, self._moved_at):
+                        return sequence
             except ChannelError as error:
-                if error.code not in ("SHM111", "SHM112") or attempt:
+                if error.code not in ("SHM111", "SHM112") or not again:
                     raise
+                again = False
                 self._drop()
-        raise AssertionError  # the loop returns or raises
+            self._need()
 
     def close(self) -> None:
         """Give claims back and let go of the object; a second call does nothing."""
@@ -240,6 +245,7 @@ class Channel:
             attached.close()
             raise
         self._attached, self._description, self.layout = attached, description, layout
+        self._shape = layout.shape
         self._reader: Reader = reader
         self._writer: Writer | None = writer
         self._moved_at = time.monotonic() + _MOVED_SECONDS
@@ -247,6 +253,7 @@ class Channel:
     def _drop(self) -> None:
         if self._attached is not None:
             self._lost_before += self._reader.lost
+            self._info = self.info
             self._attached.close()
             self._attached = None
 
@@ -274,22 +281,21 @@ class Channel:
         assert self._attached is not None
         return self._attached
 
-    def _take(self, how: str) -> RecordView | None:
-        if not self._follow():
-            return None
-        try:
-            found: tuple[bytes, SlotInfo] | None = getattr(self._reader, how)()
-        except ChannelError as error:
-            if error.code not in ("SHM111", "SHM112"):
-                raise
-            self._drop()
-            return None
-        if found is None:
-            return None
-        record, self.info = found
-        return self.layout.view(record)
+    def _take(self, how: int) -> RecordView | None:
+        while self._attached is not None or self._follow():
+            try:
+                found: Any = self._reader.view(self._shape, how, self._moved_at)
+            except ChannelError as error:
+                if error.code not in ("SHM111", "SHM112"):
+                    raise
+                self._drop()
+                return None
+            if found is not False:
+                return found  # type: ignore[no-any-return] # a view of the shape's class
+            self._follow()
+        return None
 
-    def _wait(self, how: str, timeout: float | None, poll: float) -> RecordView | None:
+    def _wait(self, how: int, timeout: float | None, poll: float) -> RecordView | None:
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             message = self._take(how)

@@ -130,6 +130,16 @@ int ch_as_u32(PyObject *value, const char *name, uint32_t *out)
     return 0;
 }
 
+int ch_reached(PyObject *seconds)
+{
+    struct timespec now;
+    double limit = PyFloat_AsDouble(seconds);
+    if (limit == -1.0 && PyErr_Occurred())
+        return -1;
+    clock_gettime(CLOCK_MONOTONIC_COARSE, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec >= limit;
+}
+
 int ch_random_claim(uint32_t *out)
 {
     do {

@@ -159,28 +159,72 @@ static PyObject *reader_peek(ReaderObject *self, PyObject *out)
     return reader_take(self, out, ROSPLC_TAKE_PEEK);
 }
 
-/* Nobody sees a bytes object before it is returned: it needs no shadow. */
-static PyObject *reader_take_record(ReaderObject *self, int mode)
+/* A bytes object, or None. Nobody sees it before it is returned: it needs no shadow. */
+static PyObject *reader_bytes(ReaderObject *self, rosplc_take *take)
 {
-    rosplc_take take = rosplc_take_start(mode);
     PyThreadState *state;
-    PyObject *record, *info = NULL;
+    PyObject *record;
     size_t size = self->owner->region.geometry.record_size;
     int accepted;
     if (reader_usable(self))
         return NULL;
     /* Before a large object is made for nothing. */
-    if (mode != ROSPLC_TAKE_PEEK && !rosplc_reader_news(&self->reader))
+    if (take->mode != ROSPLC_TAKE_PEEK && !rosplc_reader_news(&self->reader))
         Py_RETURN_NONE;
     if (!(record = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)size)))
         return NULL;
     state = reader_unlock(self, size);
-    accepted = rosplc_take_record(&self->reader, &take, PyBytes_AsString(record));
+    accepted = rosplc_take_record(&self->reader, take, PyBytes_AsString(record));
     reader_lock(self, state);
-    if (accepted && (info = ch_slot_info(&take)) != NULL)
+    if (accepted)
+        return record;
+    Py_DECREF(record);
+    Py_RETURN_NONE;
+}
+
+static PyObject *reader_take_record(ReaderObject *self, int mode)
+{
+    rosplc_take take = rosplc_take_start(mode);
+    PyObject *record = reader_bytes(self, &take), *info;
+    if (!record || record == Py_None)
+        return record;
+    if ((info = ch_slot_info(&take)) != NULL)
         return Py_BuildValue("(NN)", record, info);
     Py_DECREF(record);
-    return accepted ? NULL : Py_NewRef(Py_None);
+    return NULL;
+}
+
+static PyObject *reader_view(ReaderObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    size_t size = self->owner->region.geometry.record_size;
+    PyObject *record, *view;
+    rosplc_take take;
+    Py_ssize_t wanted;
+    uint32_t mode;
+    int late;
+    if (count != 3)
+        return PyErr_Format(PyExc_TypeError, "view(shape, mode, until) takes 3 arguments");
+    if ((wanted = rp_shape_size(args[0])) < 0 || ch_as_u32(args[1], "mode", &mode) || (late = ch_reached(args[2])) < 0)
+        return NULL;
+    if (late)
+        Py_RETURN_FALSE;
+    if ((size_t)wanted != size || mode > ROSPLC_TAKE_PEEK)
+        return PyErr_Format(PyExc_ValueError, "the shape's records have %zd bytes, those of %U have %zu; or mode %u",
+                            wanted, self->owner->path, size, (unsigned)mode);
+    take = rosplc_take_start((int)mode);
+    record = reader_bytes(self, &take);
+    if (!record || record == Py_None)
+        return record;
+    self->taken = take;
+    view = rp_shape_view(args[0], record);
+    Py_DECREF(record);
+    return view;
+}
+
+static PyObject *reader_get_info(ReaderObject *self, void *unused)
+{
+    (void)unused;
+    return self->taken.sequence ? ch_slot_info(&self->taken) : Py_NewRef(Py_None);
 }
 
 static PyObject *reader_latest_record(ReaderObject *self, PyObject *unused)
@@ -342,6 +386,8 @@ static PyMethodDef methods[] = {
     {"latest_record", (PyCFunction)reader_latest_record, METH_NOARGS, "latest_record() -> (bytes, SlotInfo) or None."},
     {"next_record", (PyCFunction)reader_next_record, METH_NOARGS, "next_record() -> (bytes, SlotInfo) or None."},
     {"peek_record", (PyCFunction)reader_peek_record, METH_NOARGS, "peek_record() -> (bytes, SlotInfo) or None."},
+    {"view", (PyCFunction)(void (*)(void))reader_view, METH_FASTCALL,
+     "view(shape, mode, until) -> a view of the newest (mode 0), next (1) or current (2) message, or None."},
     {"latest_wire", (PyCFunction)reader_latest_wire, METH_O, "latest_wire(plan) -> (wire bytes, SlotInfo) or None."},
     {"next_wire", (PyCFunction)reader_next_wire, METH_O, "next_wire(plan) -> (wire bytes, SlotInfo) or None."},
     {"peek_wire", (PyCFunction)reader_peek_wire, METH_O, "peek_wire(plan) -> (wire bytes, SlotInfo) or None."},
@@ -359,6 +405,7 @@ static PyGetSetDef attributes[] = {
     {"lost", (getter)reader_get_lost, NULL, "Messages missed.", NULL},
     {"retries", (getter)reader_get_retries, NULL, "Copies thrown away.", NULL},
     {"discontinuities", (getter)reader_get_discontinuities, NULL, "Times that the stream jumped.", NULL},
+    {"info", (getter)reader_get_info, NULL, "SlotInfo of the message that view() returned last, or None.", NULL},
     {"line", (getter)reader_get_line, NULL, "Index of the claimed line; None for an observer.", NULL},
     {NULL, NULL, NULL, NULL, NULL},
 };

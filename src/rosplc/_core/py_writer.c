@@ -1,6 +1,7 @@
 /* _native.Writer: publishing from Python. */
 #include "py_channel.h"
 
+#include <time.h>
 #include <unistd.h>
 
 static PyObject *writer_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
@@ -97,42 +98,76 @@ static int writer_meta(PyObject **values, rosplc_meta *meta)
     return 0;
 }
 
+static PyObject *publish_bytes(WriterObject *self, const uint8_t *record, Py_ssize_t given, const rosplc_meta *meta)
+{
+    rosplc_slot_header *slot;
+    uint32_t size, sequence = 0;
+    rosplc_error error;
+    /* Only now: getting a record may run Python code, which may close the region. */
+    if (writer_usable(self))
+        return NULL;
+    size = self->owner->region.geometry.record_size;
+    if (given != (Py_ssize_t)size)
+        return PyErr_Format(PyExc_ValueError, "a record of %U has %lu bytes, not %zd", self->owner->path,
+                            (unsigned long)size, given);
+    slot = rosplc_writer_begin(&self->writer, &error);
+    if (slot && size < CH_LONG_COPY) {
+        ROSPLC_COPY_RECORD(rosplc_record(slot), record, size);
+        sequence = rosplc_writer_commit(&self->writer, slot, meta);
+    } else if (slot) {
+        PyThreadState *unlocked = ch_gate_enter(&self->gate, self->owner);
+        ROSPLC_COPY_RECORD(rosplc_record(slot), record, size);
+        sequence = rosplc_writer_commit(&self->writer, slot, meta);
+        ch_gate_leave(&self->gate, self->owner, unlocked);
+    }
+    return slot ? PyLong_FromUnsignedLong(sequence) : ch_raise_channel(error, self->owner->path);
+}
+
 static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ssize_t count, PyObject *keywords)
 {
     static const char *const names[] = {"record", META_NAMES, NULL};
     PyObject *values[1 + META_COUNT];
     Py_buffer view;
-    rosplc_slot_header *slot;
+    PyObject *result;
     rosplc_meta meta;
-    uint32_t size, sequence = 0;
-    rosplc_error error;
     if (ch_arguments("publish", names, 1, 1, args, count, keywords, values) || writer_meta(values + 1, &meta)
         || PyObject_GetBuffer(values[0], &view, PyBUF_SIMPLE))
         return NULL;
-    /* Only now: getting a buffer may run Python code, which may close the region. */
-    if (writer_usable(self)) {
-        PyBuffer_Release(&view);
-        return NULL;
-    }
-    size = self->owner->region.geometry.record_size;
-    if (view.len != (Py_ssize_t)size) {
-        PyErr_Format(PyExc_ValueError, "a record of %U has %lu bytes, not %zd", self->owner->path,
-                     (unsigned long)size, view.len);
-        PyBuffer_Release(&view);
-        return NULL;
-    }
-    slot = rosplc_writer_begin(&self->writer, &error);
-    if (slot && size < CH_LONG_COPY) {
-        ROSPLC_COPY_RECORD(rosplc_record(slot), view.buf, size);
-        sequence = rosplc_writer_commit(&self->writer, slot, &meta);
-    } else if (slot) {
-        PyThreadState *unlocked = ch_gate_enter(&self->gate, self->owner);
-        ROSPLC_COPY_RECORD(rosplc_record(slot), view.buf, size);
-        sequence = rosplc_writer_commit(&self->writer, slot, &meta);
-        ch_gate_leave(&self->gate, self->owner, unlocked);
-    }
+    result = publish_bytes(self, view.buf, view.len, &meta);
     PyBuffer_Release(&view);
-    return slot ? PyLong_FromUnsignedLong(sequence) : ch_raise_channel(error, self->owner->path);
+    return result;
+}
+
+static PyObject *writer_publish_value(WriterObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    uint8_t small[1024], *record = small;
+    Py_ssize_t size;
+    PyObject *values[META_COUNT] = {NULL}, *result = NULL;
+    rosplc_meta meta;
+    struct timespec now;
+    int late;
+    if (count != 4)
+        return PyErr_Format(PyExc_TypeError, "publish_value(shape, value, stamp_ns, until) takes 4 arguments");
+    values[0] = args[2] == Py_None ? NULL : args[2];
+    if ((size = rp_shape_size(args[0])) < 0 || writer_meta(values, &meta) || (late = ch_reached(args[3])) < 0)
+        return NULL;
+    if (late)
+        return PyLong_FromLong(0);
+    if (!values[0]) {
+        uint64_t ns;
+        clock_gettime(CLOCK_REALTIME, &now);
+        ns = (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+        meta.stamp_lo = (uint32_t)ns;
+        meta.stamp_hi = (uint32_t)(ns >> 32);
+        meta.stamp_clock = 1;
+    }
+    if (size > (Py_ssize_t)sizeof small && !(record = PyMem_Malloc((size_t)size)))
+        return PyErr_NoMemory();
+    if (!rp_shape_pack(args[0], args[1], record))
+        result = publish_bytes(self, record, size, &meta);
+    if (record != small)
+        PyMem_Free(record);
+    return result;
 }
 
 static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, Py_ssize_t count,
@@ -262,6 +297,8 @@ static PyMethodDef methods[] = {
     {"publish", (PyCFunction)(void (*)(void))writer_publish, METH_FASTCALL | METH_KEYWORDS,
      "publish(record, *, stamp_ns=0, stamp_clock=1, flags=0, correlation=0, status=0, client=b'', reason=0)"
      " -> sequence."},
+    {"publish_value", (PyCFunction)(void (*)(void))writer_publish_value, METH_FASTCALL,
+     "publish_value(shape, value, stamp_ns or None for now, until) -> sequence; 0: it is too late."},
     {"publish_wire", (PyCFunction)(void (*)(void))writer_publish_wire, METH_FASTCALL | METH_KEYWORDS,
      "publish_wire(plan, data, *, truncate=False, stamp_ns=0, stamp_clock=1, flags=0, correlation=0, status=0,"
      " client=b'', reason=0) -> (sequence, flags)."},
