@@ -10,6 +10,7 @@ What is compared is the time of the processor per message, which other programs 
 
 from __future__ import annotations
 
+import os
 import random
 import secrets
 import shutil
@@ -20,13 +21,12 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import measure
-from benchmarks.bench_bridge import LOAD, MESSAGES, Contender, begin, latency_topics, load_config
-from benchmarks.peers import EVERY, STRING, TO_PLC, TO_ROS, TYPE, names
+from benchmarks.bench_bridge import LOAD, begin, load_config
+from benchmarks.peers import STRING, TYPE, names
 from benchmarks.processes import RosGraph, bridge, cpu_seconds, environment, peers, ros_domain
 from rosplc.demo.processes import remove_objects
 from rosplc.described import description_of
@@ -37,11 +37,12 @@ from rosplc.ros.dds.backend import domain_config
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.shm import Direction, Namespace, OwnedChannel
 from rosplc_bench.compiling import CORE, FLAGS, SOURCES
-from rosplc_bench.process import Side
+from rosplc_bench.process import Side, pin
 
 HERE = Path(__file__).resolve().parent
 DEPTH = 5000
 CONTENDERS = ("C node", "bridge")
+MESSAGES = {100: 600, 1000: 3000}  # to each, per round, by rate in Hz
 RESAMPLES = 2000
 
 
@@ -135,44 +136,55 @@ def loaded(name: str, program: Path, topics: int, rate: int, seconds: float) -> 
     return {key: 1e6 * value / arrived for key, value in found.items()} | {"lost": lost}
 
 
-def ages(name: str, program: Path, rate: int, count: int) -> list[float]:
-    """Return how old messages were, in µs, when a PLC that spins saw them."""
-    prefix = f"bench-{secrets.token_hex(4)}"
-    head = [f"bridge: {prefix}", f"prefix: {prefix}", "ros: {backend: dds, distro: jazzy}"]
-    config = "\n".join([*head, "diagnostics: {enabled: false}", "topics:", *latency_topics(), ""])
-    with ros_domain() as domain:
-        graph = RosGraph(domain)
-        plan = {"prefix": prefix, **graph.plan()}
-        with (
-            carrying(name, program, prefix, domain, config, [TO_PLC, EVERY], [TO_ROS]) as pid,
-            peers("subscriber source", plan, domain) as (subscriber, source),
-        ):
-            pids = [pid, source.pid, subscriber.pid]
-            measured = Contender(name, graph, plan, pids, source, subscriber)
-            measured.ages("in", 100, 10)  # everything has run once before anything counts
-            return measured.ages("in", rate, count)["bridge"]
+def ages(program: Path, messages: dict[int, int]) -> dict[int, dict[str, list[float]]]:
+    """Return by rate how old messages were, in µs, when a PLC that spins saw them.
+
+    Both are up at once, and every other message is the other's: a slow moment of the machine meets both.
+    """
+    turns = {f"/bench/in{index}": f"bench-{secrets.token_hex(4)}" for index in range(len(CONTENDERS))}
+    common = f"type: {TYPE}, limits: {{string: {STRING}}}"
+    with ros_domain() as domain, ExitStack() as stack:
+        pids = []
+        for name, (topic, prefix) in zip(CONTENDERS, turns.items(), strict=True):
+            back = topic.replace("in", "out")
+            head = [f"bridge: {prefix}", f"prefix: {prefix}", "ros: {backend: dds, distro: jazzy}"]
+            lines = [f"  {topic}: {{to: plc, {common}}}", f"  {back}: {{to: ros, {common}, latched: false}}"]
+            config = "\n".join([*head, "diagnostics: {enabled: false}", "topics:", *lines, ""])
+            one = carrying(name, program, prefix, domain, config, [topic], [back])
+            pids.append(stack.enter_context(one))
+        plan = {"turns": turns, **RosGraph(domain).plan()}
+        source, spinner = stack.enter_context(peers("by_turns spinner", plan, domain))
+        cores = sorted(os.sched_getaffinity(0))
+        if len(cores) > 1:  # a program that spins needs a core of its own
+            pin([spinner.pid], cores[-1])
+            pin([*pids, source.pid], *cores[:-1])
+        found = {}
+        for rate, count in ((100, 10), *messages.items()):  # everything has run once before anything counts
+            source.ask(f"{rate} {count}")
+            time.sleep(0.2)
+            seen = spinner.ask("")["ages"]
+            found[rate] = {name: seen[topic] for name, topic in zip(CONTENDERS, turns, strict=True)}
+        return found
 
 
 def latencies(rounds: int, program: Path, messages: dict[int, int]) -> dict[str, Any]:
-    """Return the table of latency towards the PLC; the ratios are medians over rounds."""
+    """Return the table of latency towards the PLC; the ratios are medians over rounds, with intervals."""
+    found = [ages(program, messages) for _ in range(rounds)]
     rows = []
-    for rate, count in messages.items():
-        found = measure.turns({one: partial(_round, one, program, rate, count) for one in CONTENDERS}, rounds)
+    for rate in messages:
         for one in CONTENDERS:
             more = {}
-            if one == "bridge":
-                for part in ("median", "p99"):
-                    pairs = zip(found[f"bridge {part}"], found[f"C node {part}"], strict=True)
-                    more[f"ratio of {part}"] = statistics.median(mine / its for mine, its in pairs)
-            rows.append(measure.row(f"{one}, {rate} Hz", found[one], **more))
-    waiting = "both sleep in a waitset; the PLC spins on a core of its own"
+            for part, percent in (("median", 50), ("p99", 99)) if one == "bridge" else ():
+                pairs = [
+                    [measure.percentile(each[rate][name], percent) for name in CONTENDERS] for each in found
+                ]
+                ratios = [mine / its for its, mine in pairs]
+                more[f"{part} ratio"] = statistics.median(ratios)
+                more[f"{part} from"], more[f"{part} to"] = interval(ratios)
+            values = [value for each in found for value in each[rate][one]]
+            rows.append(measure.row(f"{one}, {rate} Hz", values, **more))
+    waiting = "both sleep in a waitset; the PLC spins on a core of its own; a message for each by turns"
     return measure.table("ROS to PLC, PoseStamped of 200 B", "µs", waiting, rows)
-
-
-def _round(name: str, program: Path, rate: int, count: int) -> dict[str, list[float]]:
-    values = ages(name, program, rate, count)
-    p99 = measure.percentile(values, 99)
-    return {name: values, f"{name} median": [statistics.median(values)], f"{name} p99": [p99]}
 
 
 def interval(values: list[float]) -> tuple[float, float]:

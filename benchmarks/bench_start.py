@@ -1,10 +1,10 @@
 """What rosplc takes to begin and to be there: `rosplc --help`, the first message, the bridge's memory.
 
-usage: python -m benchmarks.bench_start [--rounds N] [--json]
+usage: python -m benchmarks.bench_start [--rounds N] [--seconds N] [--json]
 
 In every round: the processor's time of `rosplc --help` and of an empty typer program's; then a bridge with
 20 topics over DDS, ten each way, and one more whose message is latched before the bridge is started: how long
-until the PLC finds that. After some seconds of traffic its memory is read beside that of Python
+until the PLC finds that. After 60 s of traffic (--seconds) its memory is read beside that of Python
 with a cyclonedds participant in the same domain: PSS, in which what processes share counts by halves.
 """
 
@@ -33,7 +33,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, open_backend
 
-LOAD = (10, 200, 10.0)  # topics each way, rate in Hz, seconds of traffic
+LOAD = (10, 200)  # topics each way, rate in Hz
 FIRST = "/first"
 EMPTY = """
 import typer
@@ -112,8 +112,8 @@ def carried(topics: int, rate: int, seconds: float) -> dict[str, float]:
                 return found | {"bridge": pss_mb(process.pid), "participant": pss_mb(bare)}
 
 
-def run(rounds: int, load: tuple[int, int, float] = LOAD) -> dict[str, Any]:
-    """Measure in ``rounds`` rounds; returns a :func:`measure.report`. ``load``: topics, rate, seconds."""
+def run(rounds: int, seconds: float = 60.0, load: tuple[int, int] = LOAD) -> dict[str, Any]:
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`. ``load``: topics each way, rate."""
     before = measure.environment()
     found: dict[str, list[float]] = {}
     for number in range(rounds):
@@ -122,7 +122,7 @@ def run(rounds: int, load: tuple[int, int, float] = LOAD) -> dict[str, Any]:
             "empty": processor_ms("-c", EMPTY, "--help"),
             "help": processor_ms("-m", "rosplc", "--help"),
         }
-        for name, value in (helped | carried(*load)).items():
+        for name, value in (helped | carried(*load, seconds)).items():
             found.setdefault(name, []).append(value)
     rows = []
     for unit, mine, anchor in (
@@ -148,4 +148,4 @@ def run(rounds: int, load: tuple[int, int, float] = LOAD) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    measure.main(run, __doc__, 9)
+    measure.main(run, __doc__, 9, seconds=60.0)

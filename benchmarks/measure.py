@@ -61,13 +61,15 @@ def report(tables: list[dict[str, Any]], before: Mapping[str, Any]) -> dict[str,
     return {"environment": {**before, "load_after": load_average()}, "tables": tables}
 
 
-def main(run: Callable[[int], dict[str, Any]], doc: str | None, rounds: int) -> None:
-    """Parse the command line, run, and print tables or JSON."""
+def main(run: Callable[..., dict[str, Any]], doc: str | None, rounds: int, **more: float) -> None:
+    """Parse the command line, run, and print tables or JSON; ``more``: numbers for ``run``, as options."""
     parser = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=rounds, help=f"default: {rounds}")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    for name, value in more.items():
+        parser.add_argument(f"--{name}", type=type(value), default=value, help=f"default: {value:g}")
     arguments = parser.parse_args()
-    result = run(arguments.rounds)
+    result = run(arguments.rounds, **{name: getattr(arguments, name) for name in more})
     if arguments.json:
         json.dump(result, sys.stdout, indent=2)
         print()

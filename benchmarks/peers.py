@@ -9,6 +9,7 @@ which all processes of one machine share.
 from __future__ import annotations
 
 import asyncio
+import gc
 import itertools
 import json
 import os
@@ -45,7 +46,7 @@ _POSE, _NUMBER, _STAMP, _TIME = (
     struct.Struct("<q"),
 )
 _CLASSIC_SCAN_S, _HOLD_EVERY_NS = 0.0001, 10_000_000
-_REALTIME_SCAN_S, _PLC_PRIORITY, _SOURCE_PRIORITY = 0.0002, 60, 30
+_REALTIME_SCAN_S, _PLC_PRIORITY, _SOURCE_PRIORITY = 0.001, 60, 30
 
 Plan = dict[str, Any]
 T = TypeVar("T")
@@ -447,21 +448,41 @@ def _subscribe_plainly(
     del domain
 
 
+def by_turns(plan: Plan) -> None:
+    """Send ``RATE COUNT`` messages on each topic of ``turns``, by turns."""
+    wire, _ = patterns()
+    at, message, backend = stamp_places("jazzy")[0], wire(0).of(0), connect(plan, "source")
+    publishers = [backend.advertise(topic, TYPE, QOS) for topic in plan["turns"]]
+    wait_for_match(*publishers)
+    reply(ready=True)
+    for line in sys.stdin:
+        rate, count = line.split()
+        for publisher in paced(1 / float(rate) / len(publishers), publishers * int(count)):
+            stamp(message, at)
+            publisher.write(bytes(message))
+        reply(sent=count)
+    backend.close()
+
+
 def spinner(plan: Plan) -> None:
-    """Poll the record without a pause, as a PLC task on its own core; an empty line asks for the ages."""
+    """Poll records without a pause, as a PLC task on its own core; an empty line asks for the ages."""
     _, at = stamp_places(plan["distro"])
-    attached = attach(Namespace(plan["prefix"]), TO_PLC, direction=Direction.TO_PLC)
-    reader = attached.reader("spinner")
-    record = bytearray(attached.identity.record_size)
+    turns = plan.get("turns") or {TO_PLC: plan["prefix"]}
+    ends = {
+        topic: attach(Namespace(prefix), topic, direction=Direction.TO_PLC) for topic, prefix in turns.items()
+    }
+    readers = [(topic, end.reader("spinner")) for topic, end in ends.items()]
+    record = bytearray(next(iter(ends.values())).identity.record_size)
     requests = Requests()
-    ages: list[float] = []
+    ages: dict[str, list[float]] = {topic: [] for topic in turns}
     reply(ready=True)
     while not requests.ended:
-        if reader.latest(record) is not None:
-            ages.append(age_us(record, at))
-        elif requests.asked():
-            reply(ages={TO_PLC: ages})
-            ages = []
+        for topic, reader in readers:
+            if reader.latest(record) is not None:
+                ages[topic].append(age_us(record, at))
+        if requests.asked():
+            reply(ages=ages)
+            ages = {topic: [] for topic in turns}
 
 
 def counter(plan: Plan) -> None:
@@ -502,24 +523,33 @@ def realtime_source(plan: Plan) -> None:
 
 
 def realtime_plc(plan: Plan) -> None:
-    """Poll every bridge's object each 0.2 ms, as a fast task; an empty line asks for the ages in µs."""
+    """Scan every bridge's object each millisecond; an empty line asks for the ages in µs, and for the scans'.
+
+    A scan's is how late it begins, and how long it takes.
+    """
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PLC_PRIORITY))
+    gc.disable()
     readers = {}
     for name, prefix in plan["prefixes"].items():
         channel = attach(Namespace(prefix), REALTIME_TOPIC.format(name), direction=Direction.TO_PLC)
         readers[name] = channel, channel.reader("plc")
     out = bytearray(8)
     requests = Requests()
-    ages: dict[str, list[float]] = {name: [] for name in readers}
+    ages: dict[str, list[float]] = {name: [] for name in (*readers, "late", "scan")}
     reply(ready=True)
+    due = time.monotonic_ns()
     while not requests.ended:
+        began = time.monotonic_ns()
         for name, (_, reader) in readers.items():
             while reader.next(out) is not None:
                 ages[name].append((time.monotonic_ns() - _TIME.unpack(out)[0]) / 1000)
+        ages["late"].append((began - due) / 1000)
+        ages["scan"].append((time.monotonic_ns() - began) / 1000)
         if requests.asked():
             reply(ages=ages)
-            ages = {name: [] for name in readers}
-        time.sleep(_REALTIME_SCAN_S)
+            ages = {name: [] for name in ages}
+        due = max(due + int(1e9 * _REALTIME_SCAN_S), began)
+        time.sleep(max(0, due - time.monotonic_ns()) / 1e9)
 
 
 # Classic memory beside a channel
@@ -675,7 +705,7 @@ def page(plan: Plan) -> None:
 ROLES = {
     each.__name__: each
     for each in (
-        *(ros, plc, feeder, source, subscriber, spinner, counter, page),
+        *(ros, plc, feeder, source, by_turns, subscriber, spinner, counter, page),
         *(realtime_source, realtime_plc, classic_plc, answerer, service_plc),
     )
 }

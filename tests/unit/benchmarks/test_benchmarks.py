@@ -145,7 +145,7 @@ def test_the_benchmark_of_start_and_memory() -> None:
     pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
     from benchmarks import bench_start
 
-    ((_, table),) = rows(bench_start.run(1, (2, 100, 0.5))).items()
+    ((_, table),) = rows(bench_start.run(1, 0.5, (2, 100))).items()
     assert table["start to first message, s"]["median"] > 0
     assert table["bridge, MB of memory (PSS)"]["ratio"] > 1
 
@@ -203,7 +203,8 @@ def test_the_real_time_benchmark() -> None:
     if not bench_realtime.permitted():
         pytest.skip("this user may not use SCHED_FIFO")
     for table in rows(bench_realtime.run(1, count=20)).values():
-        assert [row["count"] for row in table.values()] == [20, 20]
+        counts = [row["count"] for row in table.values()]
+        assert counts[:2] == [20, 20] and min(counts[2:]) > 20
 
 
 @pytest.mark.serial
