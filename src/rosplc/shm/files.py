@@ -107,7 +107,7 @@ def read_header(fd: int) -> tuple[bytes, int]:
 def same_file(path: Path, device: int, inode: int) -> bool:
     """Return whether a name leads, without links, to a certain file."""
     try:
-        found = path.lstat()
+        found = os.lstat(path)
     except OSError:
         return False
     return (found.st_dev, found.st_ino) == (device, inode)

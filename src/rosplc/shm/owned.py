@@ -163,19 +163,17 @@ class OwnedChannel(Mapped):
         the next owner, that the name is held.
         """
         self._lock.show()
-        return (
-            files.same_file(self.path, *self._file)
-            and self._lock.still_there()
-            # First the size: looking at an object that was cut to nothing is deadly.
-            and self._whole()
-            and self.region.read(0, spec.IDENTITY_SIZE) == self._first[: spec.IDENTITY_SIZE]
-        )
-
-    def _whole(self) -> bool:
         try:
-            return self.path.lstat().st_size >= self.identity.object_size
+            found = os.lstat(self.path)
         except OSError:
             return False
+        return (
+            (found.st_dev, found.st_ino) == self._file
+            and self._lock.still_there()
+            # First the size: looking at an object that was cut to nothing is deadly.
+            and found.st_size >= self.identity.object_size
+            and self.region.read(0, spec.IDENTITY_SIZE) == self._first[: spec.IDENTITY_SIZE]
+        )
 
     def retire(self) -> None:
         """Tell every process that has the object mapped to leave it, remove its name, and close."""
