@@ -41,9 +41,10 @@ MS = 1_000_000
 JITTER_NS = 50_000
 # By name: the tasks' periods in ns and how many topics each writes.
 CASES = {"tasks of 4 and 9.798 ms": ((4 * MS, 5), (9_797_959, 5)), "one topic at 100 Hz": ((10 * MS, 1),)}
-TIMES = (2.0, 2.0)  # seconds: until the figures of a round begin, and how long they are taken
+Times = tuple[float, float]
+TIMES = (1.5, 2.0)  # seconds: until the figures of a round begin, and how long they are taken
 QUIET = (200, 1000)
-ACTIVE = (50, 200, 500, 1000)
+ACTIVE = (50, 500, 1000)
 MOST = 1 << 20  # as in write_times.c
 
 
@@ -147,7 +148,9 @@ def scanning(plc: Path, *tasks: Sequence[str]) -> Iterator[None]:
         yield
 
 
-def handed_over(plc: Path, carrier: Carrier, case: str, draw: random.Random) -> tuple[list[float], float]:
+def handed_over(
+    plc: Path, carrier: Carrier, case: str, times: Times, draw: random.Random
+) -> tuple[list[float], float]:
     """Measure one round; return the ages in µs and the share of a core in percent."""
     tasks, first = [], 0
     for period, topics in CASES[case]:
@@ -156,15 +159,15 @@ def handed_over(plc: Path, carrier: Carrier, case: str, draw: random.Random) -> 
         first += topics
     carrier.forget()
     with scanning(plc, *tasks):
-        time.sleep(TIMES[0])
+        time.sleep(times[0])
         began, before = time.monotonic_ns(), carrier.processor()
-        time.sleep(TIMES[1])
+        time.sleep(times[1])
         ended, after = time.monotonic_ns(), carrier.processor()
         time.sleep(0.02)
     return carrier.ages(began, ended), 1e11 * (after - before) / (ended - began)
 
 
-def latencies(rounds: int, plc: Path, library: Path) -> list[dict[str, Any]]:
+def latencies(rounds: int, times: Times, plc: Path, library: Path) -> list[dict[str, Any]]:
     """Return the tables of latency and of the processor's time beside it."""
     draw = random.Random()
     tables = []
@@ -175,7 +178,7 @@ def latencies(rounds: int, plc: Path, library: Path) -> list[dict[str, Any]]:
             print(f"latency, round {number + 1} of {rounds}", file=sys.stderr)
             for case in CASES:
                 for mode, carrier in carriers.items():
-                    found.setdefault((case, mode), []).append(handed_over(plc, carrier, case, draw))
+                    found.setdefault((case, mode), []).append(handed_over(plc, carrier, case, times, draw))
     waiting = "the bridge sleeps, 1 ms at most; a task of the PLC until its next scan, 50 µs early or late"
     for case in CASES:
         ages, loads = [], []
@@ -195,16 +198,16 @@ def latencies(rounds: int, plc: Path, library: Path) -> list[dict[str, Any]]:
     return tables
 
 
-def quiet(rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, Any]:
+def quiet(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, Any]:
     """Return the table of bridges on whose topics nothing happens while a PLC scans every 10 ms."""
     rows = []
-    for topics in QUIET:
+    for topics in sizes:
         with carrying("predicting", library, topics // 2) as carrier:
             objects = [*carrier.objects("out", 0, topics // 2), *carrier.objects("in", 0, topics // 2)]
             for title, tasks in (("no PLC", ()), ("a PLC scans", ([str(10 * MS), "0", "0", "0", *objects],))):
                 print(f"{topics} quiet topics, {title}", file=sys.stderr)
                 with scanning(plc, *tasks) if tasks else ExitStack():
-                    time.sleep(3.0)
+                    time.sleep(2 * seconds)
                     rows.append(measure.row(f"{topics}, {title}", shares(carrier, rounds, seconds)))
     waiting = "the bridge sleeps: 10 ms while no PLC beats, 1 ms while one does"
     return measure.table("Quiet topics, half of them each way", "% of a core", waiting, rows)
@@ -220,14 +223,14 @@ def shares(carrier: Carrier, rounds: int, seconds: float) -> list[float]:
     return found
 
 
-def active(rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, Any]:
+def active(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, Any]:
     """Return the table of topics at 10 Hz; a PLC writes a tenth of them in each scan of 10 ms."""
     rows, before = [], None
-    for topics in ACTIVE:
+    for topics in sizes:
         with carrying("predicting", library, topics) as carrier:
             print(f"{topics} active topics", file=sys.stderr)
             with scanning(plc, [str(10 * MS), "0", str(JITTER_NS), "10", *carrier.objects("out", 0, topics)]):
-                time.sleep(3.0)
+                time.sleep(2 * seconds)
                 found = shares(carrier, rounds, seconds)
         cost = statistics.median(found)
         more = {"µs per message": 1e4 * cost / (10 * topics)}
@@ -243,14 +246,23 @@ def active(rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, A
     )
 
 
-def run(rounds: int) -> dict[str, Any]:
-    """Measure in ``rounds`` rounds; returns a :func:`measure.report`."""
+def run(
+    rounds: int, times: Times = TIMES, still: Sequence[int] = QUIET, busy: Sequence[int] = ACTIVE
+) -> dict[str, Any]:
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`.
+
+    Args:
+        rounds: How often both ways of looking take their turn, and how often CPU is read.
+        times: Seconds of a round: until its figures begin, and how long they are taken.
+        still: Numbers of quiet topics.
+        busy: Numbers of topics at 10 Hz.
+    """
     before = measure.environment()
     with tempfile.TemporaryDirectory() as folder:
         programs = compile_all(Path(folder))
-        tables = latencies(rounds, *programs)
-        tables.append(quiet(rounds, TIMES[1], *programs))
-        tables.append(active(rounds, TIMES[1], *programs))
+        tables = latencies(rounds, times, *programs)
+        tables.append(quiet(still, rounds, times[1], *programs))
+        tables.append(active(busy, rounds, times[1], *programs))
     return measure.report(tables, before)
 
 

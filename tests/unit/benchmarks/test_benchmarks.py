@@ -140,6 +140,21 @@ def test_the_benchmark_beside_a_node_in_c() -> None:
     assert report["tables"][0]["facts"] == {"lost, C node": 0, "lost, bridge": 0}
 
 
+def test_the_benchmark_towards_ros() -> None:
+    """Both ways of looking hand over messages of all tasks, and CPU is read for quiet and active topics."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    if shutil.which("gcc") is None:
+        pytest.skip("Debian package gcc is missing")
+    from benchmarks import bench_to_ros
+
+    report = bench_to_ros.run(1, (0.5, 0.5), (4,), (2, 4))
+    assert all(table["rows"][0]["count"] for table in report["tables"])
+    *cases, quiet, active = rows(report).values()
+    assert all(set(table) == set(bench_to_ros.MODES) for table in cases)
+    assert set(quiet) == {"4, no PLC", "4, a PLC scans"}
+    assert set(active) == {"2 topics", "4 topics"}
+
+
 def test_the_benchmark_of_start_and_memory() -> None:
     """The first message arrives, and memory is read beside that of a participant."""
     pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
