@@ -41,21 +41,15 @@ from rosplc_bench.process import Side, pin
 
 HERE = Path(__file__).resolve().parent
 DEPTH = 5000
-CONTENDERS = ("C node", "bridge")
 MESSAGES = {100: 600, 1000: 3000}  # to each, per round, by rate in Hz
 RESAMPLES = 2000
 
 
-def compile_node(folder: Path) -> Path:
-    """Compile the node against the library that the wheel has loaded."""
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        raise RuntimeError("Debian package gcc is missing")
-    library, program = Path(native.library._name).resolve(), folder / "dds_node"
-    headers = [f"-I{each}" for each in (CORE, SOURCES)]
-    link = [str(library), f"-Wl,-rpath,{library.parent}", "-pthread"]
-    subprocess.run([compiler, *FLAGS, *headers, "-o", program, HERE / "dds_node.c", *link], check=True)
-    return program
+def compiled(compiler: str, *words: str | Path) -> None:
+    """Run a compiler."""
+    if shutil.which(compiler) is None:
+        raise RuntimeError(f"Debian package {compiler} is missing")
+    subprocess.run([compiler, *words], check=True)
 
 
 class Carried(NamedTuple):
@@ -67,18 +61,63 @@ class Carried(NamedTuple):
     depth: int
 
 
-POSES = Carried("pose", compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING)), 4096, DEPTH)
+def poses(distro: str) -> Carried:
+    """Return what a node carries under load."""
+    layout = compute_layout(TypeStore.bundled(distro), TYPE, Limits(string=STRING))
+    return Carried("pose", layout, 4096, DEPTH)
+
+
+class OverDds:
+    """The middleware under both, and the node by hand that is made for it."""
+
+    node = "C node"
+    distro = "jazzy"
+    waiting = "both sleep in a waitset"
+
+    @property
+    def contenders(self) -> tuple[str, str]:
+        """The names of both."""
+        return self.node, "bridge"
+
+    def compile(self, folder: Path) -> None:
+        """Compile the node, against the library that the wheel has loaded."""
+        library, self.program = Path(native.library._name).resolve(), folder / "dds_node"
+        headers = [f"-I{each}" for each in (CORE, SOURCES)]
+        link = [str(library), f"-Wl,-rpath,{library.parent}", "-pthread"]
+        compiled("gcc", *FLAGS, *headers, "-o", self.program, HERE / "dds_node.c", *link)
+
+    @contextmanager
+    def graph(self) -> Iterator[RosGraph]:
+        """Give a graph that nobody else uses."""
+        with ros_domain() as domain:
+            yield RosGraph(domain)
+
+    def command(self, graph: RosGraph, what: Carried) -> list[str]:
+        """Return how the node begins its command line."""
+        return [str(self.program), str(graph.domain), str(what.depth), what.word]
+
+    def environment(self, graph: RosGraph) -> dict[str, str]:
+        """Return the node's environment."""
+        variables = environment(graph.domain)
+        return variables | {"CYCLONEDDS_URI": domain_config(variables, "jazzy")}
+
+    def name(self, topic: str) -> str:
+        """Return a topic's name in the middleware."""
+        return dds_topic(topic)
+
+    @contextmanager
+    def ros(self, plan: dict[str, Any], graph: RosGraph) -> Iterator[Side]:
+        """Run the ROS end of a load."""
+        with peers("ros", plan, graph.domain) as (side,):
+            yield side
 
 
 @contextmanager
 def node(
-    program: Path, prefix: str, domain: int, ins: list[str], outs: list[str], what: Carried
+    over: OverDds, prefix: str, graph: RosGraph, ins: list[str], outs: list[str], what: Carried
 ) -> Iterator[int]:
     """Run the node in place of a bridge, over objects that this process owns; give its process id."""
-    layout = what.layout
-    variables = environment(domain)
-    variables["CYCLONEDDS_URI"] = domain_config(variables, "jazzy")
-    words = []
+    layout, words = what.layout, []
     with ExitStack() as stack:
         stack.callback(remove_objects, prefix)
         for way, direction, topics in (("in", Direction.TO_PLC, ins), ("out", Direction.TO_ROS, outs)):
@@ -88,10 +127,8 @@ def node(
                     Namespace(prefix), about, record_size=layout.size, slots=what.slots
                 )
                 stack.callback(channel.close)
-                words += [way, dds_topic(topic), str(channel.path)]
-        with Side(
-            "dds_node", [str(program), str(domain), str(what.depth), what.word, *words], variables
-        ) as side:
+                words += [way, over.name(topic), str(channel.path)]
+        with Side(over.node, [*over.command(graph, what), *words], over.environment(graph)) as side:
             side.receive()
             yield side.pid
 
@@ -99,30 +136,35 @@ def node(
 @contextmanager
 def carrying(
     name: str,
-    program: Path,
+    over: OverDds,
     prefix: str,
-    domain: int,
+    graph: RosGraph,
     config: str,
     ins: list[str],
     outs: list[str],
-    what: Carried = POSES,
+    what: Carried | None = None,
 ) -> Iterator[int]:
     """Run a contender for topics each way, which are also those of the configuration; give its process id."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if name == "bridge":
-            yield stack.enter_context(bridge(Path(folder), config, domain)).pid
+            yield stack.enter_context(bridge(Path(folder), config, graph.domain, graph.variables)).pid
         else:
-            yield stack.enter_context(node(program, prefix, domain, ins, outs, what))
+            yield stack.enter_context(node(over, prefix, graph, ins, outs, what or poses(over.distro)))
 
 
-def loaded(name: str, program: Path, topics: int, rate: int, seconds: float) -> dict[str, float]:
+def loaded(name: str, over: OverDds, topics: int, rate: int, seconds: float) -> dict[str, float]:
     """Carry a load once; return the processor's time per message in µs, and what was lost."""
     prefix, count = f"bench-{secrets.token_hex(4)}", round(rate * seconds)
-    config, ends = load_config(prefix, topics, depth=4096), (names("in", topics), names("out", topics))
-    with ros_domain() as domain, carrying(name, program, prefix, domain, config, *ends) as pid:
+    ends = names("in", topics), names("out", topics)
+    with over.graph() as graph:
+        config = load_config(prefix, topics, depth=4096, ros=graph.settings())
         plan = {"topics": topics, "count": count, "rate": rate, "per_scan": 1, "qos_depth": DEPTH}
-        plan |= {"prefix": prefix, **RosGraph(domain).plan()}
-        with peers("plc ros", plan, domain) as (plc, ros):
+        plan |= {"prefix": prefix, **graph.plan()}
+        with (
+            carrying(name, over, prefix, graph, config, *ends) as pid,
+            peers("plc", plan, graph.domain, graph.variables) as (plc,),
+            over.ros(plan, graph) as ros,
+        ):
             before = cpu_seconds(pid)
             begin(plc, ros)
             sent = [each.receive_json()["sent"] for each in (plc, ros)]
@@ -136,24 +178,24 @@ def loaded(name: str, program: Path, topics: int, rate: int, seconds: float) -> 
     return {key: 1e6 * value / arrived for key, value in found.items()} | {"lost": lost}
 
 
-def ages(program: Path, messages: dict[int, int]) -> dict[int, dict[str, list[float]]]:
+def ages(over: OverDds, messages: dict[int, int]) -> dict[int, dict[str, list[float]]]:
     """Return by rate how old messages were, in µs, when a PLC that spins saw them.
 
     Both are up at once, and every other message is the other's: a slow moment of the machine meets both.
     """
-    turns = {f"/bench/in{index}": f"bench-{secrets.token_hex(4)}" for index in range(len(CONTENDERS))}
+    turns = {f"/bench/in{index}": f"bench-{secrets.token_hex(4)}" for index in range(len(over.contenders))}
     common = f"type: {TYPE}, limits: {{string: {STRING}}}"
-    with ros_domain() as domain, ExitStack() as stack:
+    with over.graph() as graph, ExitStack() as stack:
         pids = []
-        for name, (topic, prefix) in zip(CONTENDERS, turns.items(), strict=True):
+        for name, (topic, prefix) in zip(over.contenders, turns.items(), strict=True):
             back = topic.replace("in", "out")
-            head = [f"bridge: {prefix}", f"prefix: {prefix}", "ros: {backend: dds, distro: jazzy}"]
+            head = [f"bridge: {prefix}", f"prefix: {prefix}", f"ros: {graph.settings()}"]
             lines = [f"  {topic}: {{to: plc, {common}}}", f"  {back}: {{to: ros, {common}, latched: false}}"]
             config = "\n".join([*head, "diagnostics: {enabled: false}", "topics:", *lines, ""])
-            one = carrying(name, program, prefix, domain, config, [topic], [back])
+            one = carrying(name, over, prefix, graph, config, [topic], [back])
             pids.append(stack.enter_context(one))
-        plan = {"turns": turns, **RosGraph(domain).plan()}
-        source, spinner = stack.enter_context(peers("by_turns spinner", plan, domain))
+        plan = {"turns": turns, **graph.plan()}
+        source, spinner = stack.enter_context(peers("by_turns spinner", plan, graph.domain, graph.variables))
         cores = sorted(os.sched_getaffinity(0))
         if len(cores) > 1:  # a program that spins needs a core of its own
             pin([spinner.pid], cores[-1])
@@ -163,27 +205,28 @@ def ages(program: Path, messages: dict[int, int]) -> dict[int, dict[str, list[fl
             source.ask(f"{rate} {count}")
             time.sleep(0.2)
             seen = spinner.ask("")["ages"]
-            found[rate] = {name: seen[topic] for name, topic in zip(CONTENDERS, turns, strict=True)}
+            found[rate] = {name: seen[topic] for name, topic in zip(over.contenders, turns, strict=True)}
         return found
 
 
-def latencies(rounds: int, program: Path, messages: dict[int, int]) -> dict[str, Any]:
+def latencies(rounds: int, over: OverDds, messages: dict[int, int]) -> dict[str, Any]:
     """Return the table of latency towards the PLC; the ratios are medians over rounds, with intervals."""
-    found = [ages(program, messages) for _ in range(rounds)]
+    found = [ages(over, messages) for _ in range(rounds)]
     rows = []
     for rate in messages:
-        for one in CONTENDERS:
+        for one in over.contenders:
             more = {}
             for part, percent in (("median", 50), ("p99", 99)) if one == "bridge" else ():
                 pairs = [
-                    [measure.percentile(each[rate][name], percent) for name in CONTENDERS] for each in found
+                    [measure.percentile(each[rate][name], percent) for name in over.contenders]
+                    for each in found
                 ]
                 ratios = [mine / its for its, mine in pairs]
                 more[f"{part} ratio"] = statistics.median(ratios)
                 more[f"{part} from"], more[f"{part} to"] = interval(ratios)
             values = [value for each in found for value in each[rate][one]]
             rows.append(measure.row(f"{one}, {rate} Hz", values, **more))
-    waiting = "both sleep in a waitset; the PLC spins on a core of its own; a message for each by turns"
+    waiting = f"{over.waiting}; the PLC spins on a core of its own; a message for each by turns"
     return measure.table("ROS to PLC, PoseStamped of 200 B", "µs", waiting, rows)
 
 
@@ -195,7 +238,10 @@ def interval(values: list[float]) -> tuple[float, float]:
 
 
 def run(
-    rounds: int, load: tuple[int, int, float] = LOAD, messages: dict[int, int] | None = None
+    rounds: int,
+    load: tuple[int, int, float] = LOAD,
+    messages: dict[int, int] | None = None,
+    over: OverDds | None = None,
 ) -> dict[str, Any]:
     """Measure in ``rounds`` rounds; returns a :func:`measure.report`.
 
@@ -203,17 +249,18 @@ def run(
         rounds: How often both take their turn.
         load: Topics each way, rate in Hz and seconds of a round.
         messages: Messages of a round by rate in Hz, for latency.
+        over: The middleware under both; DDS by default.
     """
-    before = measure.environment()
+    before, over = measure.environment(), over or OverDds()
     topics, rate, seconds = load
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in CONTENDERS}
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in over.contenders}
     with tempfile.TemporaryDirectory() as folder:
-        program = compile_node(Path(folder))
+        over.compile(Path(folder))
         for number in range(rounds):
             print(f"round {number + 1} of {rounds}", file=sys.stderr)
             for name, kept in found.items():
-                kept.append(loaded(name, program, topics, rate, seconds))
-        latency = latencies(rounds, program, MESSAGES if messages is None else messages)
+                kept.append(loaded(name, over, topics, rate, seconds))
+        latency = latencies(rounds, over, MESSAGES if messages is None else messages)
     ratios = [mine["both"] / its["both"] for its, mine in zip(*found.values(), strict=True)]
     lowest, highest = interval(ratios)
     more = {"ratio": statistics.median(ratios), "lowest": lowest, "highest": highest}
@@ -226,9 +273,7 @@ def run(
         for name, kept in found.items()
         for part in ("both", "user", "system")
     ]
-    waiting = (
-        "both sleep in a waitset towards the PLC, and look every 1 ms towards ROS; the PLC scans every 1 ms"
-    )
+    waiting = f"{over.waiting} towards the PLC, and look every 1 ms towards ROS; the PLC scans every 1 ms"
     facts = {f"lost, {name}": sum(one["lost"] for one in kept) for name, kept in found.items()}
     title = f"{topics} topics x {rate} Hz each way, CPU"
     return measure.report([measure.table(title, "µs per message", waiting, rows, facts), latency], before)

@@ -20,9 +20,9 @@ from typing import Any
 
 from benchmarks import measure
 from benchmarks.bench_bridge import begin
-from benchmarks.bench_dds import CONTENDERS, Carried, carrying, compile_node, interval
+from benchmarks.bench_dds import Carried, OverDds, carrying, interval
 from benchmarks.peers import IMAGE, STRING, image_layout, names
-from benchmarks.processes import RosGraph, cpu_seconds, peers, ros_domain
+from benchmarks.processes import cpu_seconds, peers
 
 SIZE = 1920 * 1080 * 3
 LOAD = (30, 2.0)  # images per second, seconds of a round
@@ -34,7 +34,7 @@ TUNED = (  # as ROS' pages advise for large messages: with the defaults neither 
 WAYS = {"in": "ROS to PLC", "out": "PLC to ROS"}
 
 
-def carried(name: str, program: Path, way: str, size: int, load: tuple[int, float]) -> tuple[float, int]:
+def carried(name: str, over: OverDds, way: str, size: int, load: tuple[int, float]) -> tuple[float, int]:
     """Carry images once; return the processor's time per image in ms, and what was lost."""
     prefix, (rate, seconds) = f"bench-{secrets.token_hex(4)}", load
     topics, to = names(way, 1), {"in": "plc", "out": "ros, latched: false"}[way]
@@ -46,9 +46,9 @@ def carried(name: str, program: Path, way: str, size: int, load: tuple[int, floa
     plan = {"topics": 0, f"{way}s": 1, "image": size, "count": round(rate * seconds), "rate": rate}
     plan |= {"per_scan": 1, "qos_depth": DEPTH, "prefix": prefix}
     with (
-        ros_domain() as domain,
-        carrying(name, program, prefix, domain, config, *ends, what) as pid,
-        peers("plc ros", plan | RosGraph(domain).plan(), domain) as (plc, ros),
+        over.graph() as graph,
+        carrying(name, over, prefix, graph, config, *ends, what) as pid,
+        peers("plc ros", plan | graph.plan(), graph.domain) as (plc, ros),
     ):
         before = sum(cpu_seconds(pid))
         begin(plc, ros)
@@ -66,24 +66,25 @@ def carried(name: str, program: Path, way: str, size: int, load: tuple[int, floa
 def run(rounds: int, size: int = SIZE, load: tuple[int, float] = LOAD) -> dict[str, Any]:
     """Measure in ``rounds`` rounds; returns a :func:`measure.report`. ``load``: images/s, seconds."""
     os.environ.setdefault("CYCLONEDDS_URI", TUNED)
-    before = measure.environment()
+    before, over = measure.environment(), OverDds()
+    contenders = over.contenders
     found: dict[tuple[str, str], list[tuple[float, int]]] = {
-        (way, name): [] for way in WAYS for name in CONTENDERS
+        (way, name): [] for way in WAYS for name in contenders
     }
     with tempfile.TemporaryDirectory() as folder:
-        program = compile_node(Path(folder))
+        over.compile(Path(folder))
         for number in range(rounds):
             print(f"round {number + 1} of {rounds}", file=sys.stderr)
             for (way, name), kept in found.items():
-                kept.append(carried(name, program, way, size, load))
+                kept.append(carried(name, over, way, size, load))
     rows, facts = [], {}
     for way, words in WAYS.items():
-        node, bridge = ([ms for ms, _ in found[way, name]] for name in CONTENDERS)
+        node, bridge = ([ms for ms, _ in found[way, name]] for name in contenders)
         ratios = [mine / its for mine, its in zip(bridge, node, strict=True)]
         lowest, highest = interval(ratios)
         more = {"ratio": statistics.median(ratios), "lowest": lowest, "highest": highest}
         rows += [measure.row(f"C node, {words}", node), measure.row(f"bridge, {words}", bridge, **more)]
-        facts |= {f"lost, {name}, {words}": sum(n for _, n in found[way, name]) for name in CONTENDERS}
+        facts |= {f"lost, {name}, {words}": sum(n for _, n in found[way, name]) for name in contenders}
     waiting = "both sleep in a waitset towards the PLC, and look every 1 ms towards ROS"
     return measure.report(
         [measure.table(f"{size} B, {load[0]} Hz", "ms of processor per image", waiting, rows, facts)], before

@@ -450,8 +450,8 @@ def _subscribe_plainly(
 
 def by_turns(plan: Plan) -> None:
     """Send ``RATE COUNT`` messages on each topic of ``turns``, by turns."""
-    wire, _ = patterns()
-    at, message, backend = stamp_places("jazzy")[0], wire(0).of(0), connect(plan, "source")
+    wire, _ = patterns(plan["distro"])
+    at, message, backend = stamp_places(plan["distro"])[0], wire(0).of(0), connect(plan, "source")
     publishers = [backend.advertise(topic, TYPE, QOS) for topic in plan["turns"]]
     wait_for_match(*publishers)
     reply(ready=True)

@@ -36,6 +36,12 @@ PACKAGES = (
 )  # fmt: skip
 """The Debian packages that ROS 1's peers need."""
 
+LIBRARIES = (
+    "-lroscpp", "-lrosconsole", "-lroscpp_serialization", "-lrostime", "-lcpp_common", "-lboost_thread",
+    "-lboost_system", "-lpthread",
+)  # fmt: skip
+"""What programs of roscpp are linked with."""
+
 
 class Graph:
     """A master, and the environment to reach it; :func:`lend` gives one.
@@ -326,10 +332,9 @@ def build(*defines: str) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not program.exists():
             partial = program.with_suffix(".partial")
-            libraries = ["-lroscpp", "-lrosconsole", "-lroscpp_serialization", "-lrostime", "-lcpp_common"]
             command = ["g++", "-std=c++17", "-O1", *(f"-D{each}" for each in defines), str(source)]
             done = subprocess.run(
-                [*command, "-o", str(partial), *libraries, "-lboost_thread", "-lboost_system", "-lpthread"],
+                [*command, "-o", str(partial), *LIBRARIES],
                 capture_output=True,
                 text=True,
                 check=False,

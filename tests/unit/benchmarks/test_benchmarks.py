@@ -20,6 +20,7 @@ from benchmarks import (
 from generate_comparison import round_trips
 from rosplc.layout import Limits
 from tests.conformance.backends.registry import HARNESSES
+from tests.interop.ros1.graph import PACKAGES
 
 
 def rows(report: dict[str, object]) -> dict[str, dict[str, dict[str, float]]]:
@@ -153,6 +154,18 @@ def test_the_benchmark_towards_ros() -> None:
     assert all(set(table) == set(bench_to_ros.MODES) for table in cases)
     assert set(quiet) == {"4, no PLC", "4, a PLC scans"}
     assert set(active) == {"2 topics", "4 topics"}
+
+
+@pytest.mark.needs(*PACKAGES)
+def test_the_benchmark_beside_a_node_of_roscpp() -> None:
+    """The node of roscpp and the bridge carry the same load; neither loses or changes a message."""
+    from benchmarks import bench_dds, bench_ros1
+
+    report = bench_dds.run(1, (2, 100, 1.0), {100: 10}, bench_ros1.OverRos1())
+    cpu, latency = rows(report).values()
+    assert {"C++ node", "C++ node, user", "bridge", "bridge, system"} <= set(cpu)
+    assert set(latency) == {"C++ node, 100 Hz", "bridge, 100 Hz"}
+    assert report["tables"][0]["facts"] == {"lost, C++ node": 0, "lost, bridge": 0}
 
 
 def test_the_benchmark_of_start_and_memory() -> None:
