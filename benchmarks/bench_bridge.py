@@ -54,8 +54,9 @@ def load_config(
     cycle: str = "1ms",
     ros: str = "{backend: dds, distro: jazzy}",
     more: Sequence[str] = (),
+    outs: int | None = None,
 ) -> str:
-    """Return a configuration with as many topics in each direction."""
+    """Return a configuration with as many topics in each direction, or ``outs`` towards ROS."""
     common = f"type: {TYPE}, limits: {{string: {STRING}}}, slots: {depth}, every: true, qos: {{depth: 5000}}"
     lines = [f"bridge: {prefix}", f"prefix: {prefix}", f"ros: {ros}"]
     lines += [f"tasks: {{RosTask: {{interval: {cycle}}}}}", "topics:"]
@@ -223,13 +224,13 @@ def loaded(topics: int, rate: int, rounds: int, seconds: float, graph: RosGraph)
     return measure.table(f"{topics} topics x {rate} Hz each way", "% of a core", waiting, rows, facts)
 
 
-def begin(plc: Side, ros: Side) -> None:
-    """Have both ends of a load send: first one message of each topic, then the others at their rate."""
+def begin(*ends: Side) -> None:
+    """Have the ends of a load send: first one message of each topic, then the others at their rate."""
     for word in ("go", "more"):
-        for side in (plc, ros):
+        for side in ends:
             side.send(word)
         if word == "go":
-            for side in (plc, ros):
+            for side in ends:
                 side.receive()
 
 

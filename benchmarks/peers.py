@@ -667,6 +667,74 @@ def _serve_plainly(plan: Plan) -> None:
     threading.Thread(target=executor.spin, daemon=True).start()
 
 
+def plain(plan: Plan) -> None:
+    """Be a node of a user's own, of rclpy alone; an empty line asks how many messages it has received.
+
+    With ``copies`` in the plan it copies the fields of what it receives into objects and looks every
+    millisecond for records to publish; without, its callbacks only count.
+    """
+    import rclpy
+    from geometry_msgs.msg import PoseStamped
+
+    layout = compute_layout(TypeStore.bundled(plan["distro"]), TYPE, Limits(string=STRING))
+    record = struct.Struct(f"<iI{STRING + 1}s7d")
+    context = rclpy.Context()
+    context.init(domain_id=plan["domain"])
+    node = rclpy.create_node("plain", context=context)
+    profile = rclpy.qos.QoSProfile(depth=plan["qos_depth"])
+    received = 0
+
+    def owned(topic: str, direction: Direction) -> OwnedChannel:
+        about = description_of(layout, topic, direction, bridge="plain")
+        return OwnedChannel.open(Namespace(plan["prefix"]), about, record_size=layout.size, slots=4096)
+
+    def subscribe(topic: str) -> None:
+        def copy(message: Any) -> None:
+            nonlocal received
+            received += 1
+            stamp, at, to = message.header.stamp, message.pose.position, message.pose.orientation
+            text = message.header.frame_id.encode()
+            writer.publish(
+                record.pack(stamp.sec, stamp.nanosec, text, at.x, at.y, at.z, to.x, to.y, to.z, to.w)
+            )
+
+        def count(_message: Any) -> None:
+            nonlocal received
+            received += 1
+
+        if plan["copies"]:
+            writer = owned(topic, Direction.TO_PLC).writer(60_000)
+        node.create_subscription(PoseStamped, topic, copy if plan["copies"] else count, profile)
+
+    for topic in names("in", plan["topics"]):
+        subscribe(topic)
+    outs = [
+        (owned(topic, Direction.TO_ROS).reader(60_000), node.create_publisher(PoseStamped, topic, profile))
+        for topic in names("out", plan["outs"])
+    ]
+    taken = bytearray(layout.size)
+
+    def look() -> None:
+        for reader, publisher in outs:
+            while reader.next(taken) is not None:
+                message = PoseStamped()
+                header, at, to = message.header, message.pose.position, message.pose.orientation
+                header.stamp.sec, header.stamp.nanosec, text, *pose = record.unpack(taken)
+                header.frame_id = text.rstrip(b"\0").decode()
+                at.x, at.y, at.z, to.x, to.y, to.z, to.w = pose
+                publisher.publish(message)
+
+    if outs:
+        node.create_timer(0.001, look)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    threading.Thread(target=executor.spin, daemon=True).start()
+    reply(ready=True)
+    for _ in sys.stdin:
+        reply(count=received)
+    os._exit(0)
+
+
 def service_plc(plan: Plan) -> None:
     """Answer calls with a block per service, each in a task with the scan interval that the plan gives."""
     for service, seconds in plan["blocks"].items():
@@ -706,7 +774,7 @@ ROLES = {
     each.__name__: each
     for each in (
         *(ros, plc, feeder, source, by_turns, subscriber, spinner, counter, page),
-        *(realtime_source, realtime_plc, classic_plc, answerer, service_plc),
+        *(realtime_source, realtime_plc, classic_plc, answerer, service_plc, plain),
     )
 }
 

@@ -176,8 +176,10 @@ def long(outcome: Outcome) -> None:
 
 def bench(outcome: Outcome) -> None:
     """Run every measurement in benchmarks/."""
+    ros2 = [str(each) for each in sorted((ROOT / ".cache").glob("ros2-*/bin/python"))]
     for path in sorted((ROOT / "benchmarks").glob("bench_*.py")):
-        step(outcome, path.name, [sys.executable, "-m", f"benchmarks.{path.stem}"])
+        python = (ros2 or [sys.executable])[0] if path.stem == "bench_rclpy" else sys.executable
+        step(outcome, path.name, [python, "-m", f"benchmarks.{path.stem}"])
 
 
 STEPS: dict[str, Callable[[Outcome], None]] = {
