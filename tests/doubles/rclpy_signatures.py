@@ -21,6 +21,7 @@ EVERY: dict[str, str] = {
     "rclpy.context:Context.try_shutdown": "(self)",
     "rclpy.executors:Executor.__init__": "(self, *, context=None)",
     "rclpy.executors:Executor.add_node": "(self, node)",
+    "rclpy.executors:Executor.can_execute": "(self, entity)",
     "rclpy.executors:Executor.context": "property",
     "rclpy.executors:Executor.create_task": "(self, callback, *args, **kwargs)",
     "rclpy.executors:Executor.get_nodes": "(self)",
@@ -28,6 +29,7 @@ EVERY: dict[str, str] = {
     "rclpy.executors:Executor.shutdown": "(self, timeout_sec=None)",
     "rclpy.executors:Executor.spin": "(self)",
     "rclpy.executors:Executor.spin_once": "(self, timeout_sec=None)",
+    "rclpy.executors:Executor.wait_for_ready_callbacks": "(self, *args, **kwargs)",
     "rclpy.executors:Executor.wake": "(self)",
     "rclpy.executors:SingleThreadedExecutor.__init__": "(self, *, context=None)",
     "rclpy.executors:SingleThreadedExecutor.spin_once": "(self, timeout_sec=None)",
@@ -175,6 +177,8 @@ ALSO: dict[str, frozenset[str]] = {
             "services",
             "clients",
             "waitables",
+            "guards",
+            "timers",
             "handle",
             "get_node_names_and_namespaces",
         }
@@ -201,9 +205,17 @@ BASES: dict[str, tuple[str, ...]] = {
 """Class → the classes that it inherits from."""
 
 HANDLES: dict[str, frozenset[str]] = {
-    "subscription": frozenset({"take_message", "destroy_when_not_in_use"}),
+    "subscription": frozenset({"take_message", "destroy_when_not_in_use", "pointer"}),
     "publisher": frozenset({"publish_raw", "destroy_when_not_in_use"}),
+    "wait set": frozenset(
+        {
+            *("clear_entities", "add_subscription", "add_guard_condition", "add_timer", "add_client"),
+            *("add_service", "add_event", "wait", "is_ready", "get_ready_entities"),
+        }
+    ),
 }
 """Methods of the C++ handles: ``take_message(pymsg_type, raw)`` gives None or (message, info), where
 info has ``source_timestamp`` and ``received_timestamp`` in ns (subscription.cpp); ``publish_raw(msg)``
-takes bytes (publisher.cpp); both are context managers that raise InvalidHandle (destroyable.cpp)."""
+takes bytes (publisher.cpp); both are context managers that raise InvalidHandle (destroyable.cpp). A wait
+set is made for numbers of subscriptions, guard conditions, timers, clients, services and events, and a context's
+handle; ``add_…`` takes a handle, ``wait`` a time in ns, ``get_ready_entities`` a kind (wait_set.cpp)."""

@@ -7,9 +7,15 @@ from typing import Any
 
 from rclpy import _graph
 from rclpy._distro import HUMBLE
-from rclpy._handles import UnsupportedEventTypeError
+from rclpy._handles import Destroyable, UnsupportedEventTypeError
 
 _OPTIONAL = {"incompatible_qos", "incompatible_type"}  # unsupported ones are let go, where they are
+
+
+class _Handle(Destroyable):
+    def __init__(self, ready: Callable[[], bool]) -> None:
+        super().__init__(lambda: None)
+        self._ready = ready
 
 
 class EventHandler:
@@ -22,17 +28,40 @@ class EventHandler:
         self.callback = callback
         self.event_type = event_type
         self._endpoint = parent_impl.endpoint
+        self._handle = _Handle(self._waiting)
+        self._index: int | None = None
+        self._ready_to_take_data = False
         self._endpoint.events[event_type] = []
         callback_group.add_entity(self)
 
-    def ready(self) -> bool:
+    def _waiting(self) -> bool:
         return bool(self._endpoint.events.get(self.event_type))
 
-    def take(self) -> Any:
-        return self._endpoint.events[self.event_type].pop(0)
+    def add_to_wait_set(self, wait_set: Any) -> None:
+        with self._handle:
+            self._index = wait_set.add_event(self._handle)
+
+    def is_ready(self, wait_set: Any) -> bool:
+        if self._index is not None and wait_set.is_ready("event", self._index):
+            self._ready_to_take_data = True
+        return self._ready_to_take_data
+
+    def take_data(self) -> Any:
+        if not self._ready_to_take_data:
+            return None
+        self._ready_to_take_data = False
+        with self._handle:
+            return self._endpoint.events[self.event_type].pop(0)
+
+    def __enter__(self) -> None:
+        self._handle.__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        self._handle.__exit__(*error)
 
     def destroy(self) -> None:
         self._endpoint.events.pop(self.event_type, None)
+        self._handle.destroy_when_not_in_use()
 
 
 def _create(chosen: dict[str, Any], defaults: bool, callback_group: Any, parent: Any) -> list[EventHandler]:

@@ -29,6 +29,10 @@ class Destroyable:
         self._doomed = False
         self._guard = threading.RLock()
 
+    @property
+    def pointer(self) -> int:
+        return id(self)
+
     def __enter__(self) -> None:
         with self._guard:
             if self._doomed:

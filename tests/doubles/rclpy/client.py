@@ -26,6 +26,9 @@ class ServiceHandle(Destroyable):
         self.writer.leave()
         self.reader.leave()
 
+    def _ready(self) -> bool:
+        return bool(self.reader.waiting)
+
     def take(self) -> Any:
         with _graph.changed:
             return self.reader.waiting.popleft() if self.reader.waiting else None

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from typing import Any
 
 from rclpy import _graph
-from rclpy._handles import RCLError
+from rclpy._handles import Destroyable, RCLError
+
+
+class _Handle(Destroyable):
+    def __init__(self, context: Context) -> None:
+        super().__init__(lambda: None)
+        self.valid = context.ok
 
 
 class Context:
@@ -55,6 +62,10 @@ class Context:
             callback()
         with _graph.changed:
             _graph.changed.notify_all()
+
+    @property
+    def handle(self) -> Any:
+        return _Handle(self)
 
     def on_shutdown(self, callback: Callable[[], None]) -> None:
         self._callbacks.append(callback)

@@ -9,12 +9,42 @@ from typing import Any
 
 from rclpy import _graph
 from rclpy._distro import HUMBLE
-from rclpy._handles import InvalidHandle
+from rclpy._handles import Destroyable, InvalidHandle
 from rclpy.task import Task
 
 
 class ExternalShutdownException(Exception):
     pass
+
+
+class ShutdownException(Exception):
+    pass
+
+
+class TimeoutException(Exception):
+    pass
+
+
+class _GuardHandle(Destroyable):
+    _triggered = False
+
+    def _ready(self) -> bool:
+        return self._triggered
+
+
+class _Guard:
+    """rclpy/guard_condition.py."""
+
+    def __init__(self) -> None:
+        self.handle = _GuardHandle(lambda: None)
+
+    def trigger(self) -> None:
+        with self.handle, _graph.changed:
+            self.handle._triggered = True
+            _graph.changed.notify_all()
+
+    def destroy(self) -> None:
+        self.handle.destroy_when_not_in_use()
 
 
 class Executor:
@@ -54,7 +84,8 @@ class Executor:
         self._context = context
         self._nodes: list[Any] = []
         self._tasks: list[Task] = []
-        self._woken = False
+        self._guard: Any = _Guard()
+        self._sigint_gc: Any = _Guard()
         self._is_shutdown = False
         context.on_shutdown(self.wake)
 
@@ -63,19 +94,20 @@ class Executor:
         return self._context
 
     def create_task(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Task:
-        if self._is_shutdown:
-            raise AttributeError("'NoneType' object has no attribute 'trigger'")
         task = Task(callback, args, kwargs)
         with _graph.changed:
             self._tasks.append(task)
-            _graph.changed.notify_all()
+            self._guard.trigger()  # None after the shutdown
         return task
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         with _graph.changed:
-            self._is_shutdown = True
+            if not self._is_shutdown:
+                self._guard.trigger()
+                self._guard.destroy()
+                self._sigint_gc.destroy()
+            self._is_shutdown, self._guard, self._sigint_gc = True, None, None
             self._nodes = []
-            _graph.changed.notify_all()
         return True
 
     def add_node(self, node: Any) -> bool:
@@ -91,11 +123,12 @@ class Executor:
         with _graph.changed:
             if node in self._nodes:
                 self._nodes.remove(node)
-                _graph.changed.notify_all()
+                self.wake()
 
     def wake(self) -> None:
         with _graph.changed:
-            _graph.changed.notify_all()
+            if self._guard is not None:
+                self._guard.trigger()
 
     def get_nodes(self) -> list[Any]:
         return list(self._nodes)
@@ -107,55 +140,55 @@ class Executor:
     def spin_once(self, timeout_sec: float | None = None) -> None:
         raise NotImplementedError
 
+    def can_execute(self, entity: Any) -> bool:
+        return bool(entity.callback_group.can_execute(entity))
+
+    def wait_for_ready_callbacks(self, *args: Any, **kwargs: Any) -> tuple[Task, Any, Any]:
+        return self._wait(*args, **kwargs), None, None
+
+    def _wait(self, timeout_sec: float | None = None) -> Task:
+        end = None if timeout_sec is None or timeout_sec < 0 else time.monotonic() + timeout_sec
+        with _graph.changed:
+            while True:
+                if self._is_shutdown:
+                    raise ShutdownException
+                if not self._context.ok():
+                    raise ExternalShutdownException
+                if self._tasks:
+                    return self._tasks.pop(0)
+                if (work := self._ready()) is not None:
+                    return Task(work)
+                left = None if end is None else end - time.monotonic()
+                if left is not None and left <= 0:
+                    self._guard.handle._triggered = False  # taken by the wait that found nothing else
+                    raise TimeoutException
+                _graph.changed.wait(left)
+
+    def _ready(self) -> Callable[[], None] | None:
+        for node in self._nodes:
+            for handler in list(node.waitables):
+                if handler._waiting() and self.can_execute(handler):
+                    handler._ready_to_take_data = True
+                    return _guarded(handler, lambda h=handler: h.callback(h.take_data()))  # type: ignore[misc]
+            for subscription in list(node.subscriptions):
+                if subscription.handle._ready() and self.can_execute(subscription):
+                    return _handled(subscription, self._take_subscription)
+            for entities, take in ((node.services, self._take_service), (node.clients, self._take_client)):
+                for entity in list(entities):
+                    if entity.handle._ready() and self.can_execute(entity):
+                        return _handled(entity, take)
+        return None
+
 
 class SingleThreadedExecutor(Executor):
     def __init__(self, *, context: Any = None) -> None:
         super().__init__(context=context)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        work = self._wait(None if timeout_sec is None or timeout_sec < 0 else time.monotonic() + timeout_sec)
-        if work is not None:
-            work()  # what a callback raises comes out here, as in rclpy
-
-    def _wait(self, end: float | None) -> Callable[[], None] | None:
-        with _graph.changed:
-            while True:
-                if self._is_shutdown:
-                    return None
-                if not self._context.ok():
-                    raise ExternalShutdownException
-                if self._tasks:
-                    return _raising(self._tasks.pop(0))
-                if (work := self._ready()) is not None:
-                    return work
-                left = None if end is None else end - time.monotonic()
-                if left is not None and left <= 0:
-                    return None
-                _graph.changed.wait(left)
-
-    def _ready(self) -> Callable[[], None] | None:
-        for node in self._nodes:
-            for handler in list(node.waitables):
-                if handler.ready() and handler.callback_group.can_execute(handler):
-                    return _guarded(handler, lambda h=handler: h.callback(h.take()))  # type: ignore[misc]
-            for subscription in list(node.subscriptions):
-                waits = subscription.handle.endpoint.waiting
-                if waits and subscription.callback_group.can_execute(subscription):
-                    return _handled(subscription, self._take_subscription)
-            for entities, take in ((node.services, self._take_service), (node.clients, self._take_client)):
-                for entity in list(entities):
-                    if entity.handle.reader.waiting and entity.callback_group.can_execute(entity):
-                        return _handled(entity, take)
-        return None
-
-
-def _raising(task: Task) -> Callable[[], None]:
-    def run() -> None:
-        task()
-        if (error := task.exception()) is not None:
-            raise error
-
-    return run
+        with contextlib.suppress(ShutdownException, TimeoutException):
+            handler = self.wait_for_ready_callbacks(timeout_sec=timeout_sec)[0]
+            handler()
+            handler.result()  # what a callback raises comes out here, as in rclpy
 
 
 def _guarded(entity: Any, work: Callable[[], None]) -> Callable[[], None]:

@@ -40,6 +40,9 @@ class _Handle(Destroyable):
         super().__init__(endpoint.leave)
         self.endpoint = endpoint
 
+    def _ready(self) -> bool:
+        return bool(self.endpoint.waiting)
+
     def publish_raw(self, msg: bytes) -> None:
         if _graph.unsupported & {"publish"}:  # a test lets publishing fail
             raise RCLError("Failed to publish: test")
@@ -196,6 +199,14 @@ class Node:
         yield from self._clients
 
     @property
+    def guards(self) -> Iterator[Any]:
+        yield from ()
+
+    @property
+    def timers(self) -> Iterator[Any]:
+        yield from ()
+
+    @property
     def waitables(self) -> Iterator[Any]:
         yield from self.__waitables
 
@@ -260,7 +271,12 @@ class Node:
         with _graph.changed:
             where.append(entity)
             entity.handle.join()
+        self._wake_executor()
         return entity
+
+    def _wake_executor(self) -> None:
+        if self.executor is not None:
+            self.executor.wake()
 
     def _destroy_service(self, where: list[Any], entity: Any) -> bool:
         with _graph.changed:
@@ -268,6 +284,7 @@ class Node:
                 return False
             where.remove(entity)
             entity.destroy()
+            self._wake_executor()
             return True
 
     def destroy_service(self, service: Any) -> bool:
@@ -333,6 +350,7 @@ class Node:
             where.append(entity)
             self.__waitables.extend(entity.event_handlers)
             entity.handle.endpoint.join()
+        self._wake_executor()
 
     def _destroy(self, where: list[Any], entity: Any) -> bool:
         with _graph.changed:
@@ -342,6 +360,7 @@ class Node:
             for handler in entity.event_handlers:
                 self.__waitables.remove(handler)
             entity.destroy()
+            self._wake_executor()
             return True
 
     def destroy_publisher(self, publisher: Any) -> bool:

@@ -23,6 +23,10 @@ class Task:
     def done(self) -> bool:
         return self._done
 
+    def result(self) -> None:
+        if self._exception is not None:
+            raise self._exception
+
     def exception(self) -> Exception | None:
         return self._exception
 

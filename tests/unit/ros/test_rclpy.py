@@ -323,25 +323,60 @@ def test_stamp_is_the_senders_where_rclpy_tells_it(machine: Machine, distro: str
     assert (got[0] <= sent) is (distro == "jazzy")
 
 
-def test_waiting_messages_are_taken_at_once(machine: Machine) -> None:
-    """What waits behind a message is taken without another wait set, up to a bound, in order."""
+@pytest.mark.parametrize("lacking", [False, True])
+def test_waiting_messages_are_taken_at_once(
+    machine: Machine, lacking: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What waits behind a message is taken without another wait, up to a bound, in order; by any executor."""
+    executors = importlib.import_module("rclpy.executors")
+    implementation = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
+    waits: list[str] = []
+
+    def counted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda *arguments: waits.append(name) or function(*arguments)  # type: ignore[func-returns-value]
+
+    executors._take = counted("executor", executors._take)
+    implementation.WaitSet.wait = counted("wait set", implementation.WaitSet.wait)
+    if lacking:
+        del implementation.WaitSet
     got: list[bytes] = []
     node = machine.node("listener")
     hold = threading.Event()
     qos = Qos(depth=500)
     node.subscribe("/a", STRING, qos, lambda payload, _: (hold.wait(), got.append(payload)))
     publisher = machine.node("talker").advertise("/a", STRING, qos)
-    for number in range(300):
+    publisher.write(string("0"))
+    time.sleep(0.1)
+    waits.clear()
+    for number in range(1, 300):
         publisher.write(string(str(number)))
-    taken = []
-    executors = importlib.import_module("rclpy.executors")
-    original = executors._take
-    executors._take = lambda subscription: taken.append(1) or original(subscription)
     hold.set()
     wait_for(lambda: len(got) == 300)
-    executors._take = original
     assert got == [string(str(number)) for number in range(300)]
-    assert 1 <= len(taken) <= 10
+    assert 1 <= len(waits) <= 10
+    assert set(waits) == {"executor" if lacking else "wait set"}
+    assert ("rclpy's executor receives alone" in caplog.text) is lacking
+
+
+def test_events_are_seen_between_messages(machine: Machine, caplog: pytest.LogCaptureFixture) -> None:
+    """A node that receives without a pause notices a peer that does not fit."""
+    got: list[bytes] = []
+    node, talker = machine.node("listener"), machine.node("talker")
+    node.subscribe("/busy", STRING, Qos(), lambda payload, _: got.append(payload))
+    node.subscribe("/chatter", STRING, Qos(), lambda *_: None)
+    publisher = talker.advertise("/busy", STRING, Qos())
+    publisher.write(string("first"))
+    wait_for(lambda: got)
+    profile = importlib.import_module("rclpy.qos").QoSProfile(
+        depth=1, reliability=importlib.import_module("rclpy.qos").ReliabilityPolicy.BEST_EFFORT
+    )
+    machine.native("peer").create_publisher(message_class(STRING), "/chatter", profile)
+
+    def noticed() -> bool:
+        publisher.write(string("more"))
+        return "node /peer publishes /chatter" in caplog.text
+
+    wait_for(noticed)
 
 
 def test_refusing_middleware_is_an_error_of_the_write(machine: Machine) -> None:

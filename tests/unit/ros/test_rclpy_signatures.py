@@ -96,6 +96,8 @@ def test_handles_of_the_double(distro: str) -> None:
     public = {name for name in dir(handle) if not name.startswith("_")}
     assert public == HANDLES["subscription"] | HANDLES["publisher"]
     assert list(inspect.signature(handle.take_message).parameters) == ["self", "pymsg_type", "raw"]
+    implementation = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
+    assert {name for name in dir(implementation.WaitSet) if name[0] != "_"} == HANDLES["wait set"]
 
 
 # Made by rclpy itself and read only; later releases moved or reshaped them.
@@ -143,3 +145,5 @@ def test_installed_rclpy_takes_the_recorded_calls() -> None:
     table = expected(distro if distro in ("humble", "jazzy") else "rolling")
     called = {name: text for name, text in table.items() if not name.startswith(NOT_CALLED)}
     assert [name for name, text in called.items() if not fits(text, found(name))] == []
+    implementation = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
+    assert set(dir(implementation.WaitSet)) >= HANDLES["wait set"]

@@ -23,6 +23,7 @@ from rosplc.ros._base import BaseNode, Context, Problem
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy import endpoint as ends
+from rosplc.ros.rclpy.waiting import Waiting
 
 
 def read_options(options: Mapping[str, object]) -> tuple[list[str], bool]:
@@ -102,6 +103,7 @@ class OwnNode:
             )
             self._executor = SingleThreadedExecutor(context=self.context)
             self._executor.add_node(self.node)
+            self._waiting = Waiting(self._executor, self.node)
         except BaseException:
             self.context.try_shutdown()
             raise
@@ -117,7 +119,7 @@ class OwnNode:
         """Stop serving and leave the graph; waits for that, unless called from a callback."""
         self._stopping = True
         with suppress(Exception):  # the executor is gone already, if the context was shut down
-            self._executor.create_task(_nothing)  # spin_once returns after it
+            self._executor.create_task(_nothing)  # what waits returns after it
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
@@ -130,7 +132,7 @@ class OwnNode:
 
     def _spin(self) -> bool:
         try:
-            self._executor.spin_once()
+            self._waiting.spin_once()
         except InvalidHandle:  # an entity was destroyed while the executor looked at it
             _logger.debug("the executor met a destroyed entity", exc_info=True)
         except ExternalShutdownException:
@@ -146,7 +148,13 @@ class OwnNode:
 
     def leave(self) -> None:
         """Give everything back; the thread's last work."""
-        for step in (self.node.destroy_node, self._executor.shutdown, self.context.try_shutdown):
+        executor = self._executor
+        for step in (
+            self._waiting.release,
+            self.node.destroy_node,
+            executor.shutdown,
+            self.context.try_shutdown,
+        ):
             try:
                 step()
             except Exception:  # the rest must still be given back

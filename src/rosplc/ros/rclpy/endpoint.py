@@ -1,6 +1,6 @@
 """The bridge's own endpoints on rclpy: bytes in, bytes out, how they fare, and the middleware's events.
 
-The hot paths are :meth:`RclpySubscription.receive` and :meth:`RclpyPublisher.write`. Which events there are
+The hot paths are :meth:`RclpySubscription.take` and :meth:`RclpyPublisher.write`. Which events there are
 depends on the version of rclpy and on the middleware, and one that is not supported keeps an endpoint from
 being created. So the events are asked for from many to few.
 """
@@ -157,7 +157,7 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
 
     def details(self) -> dict[str, Any]:
         """Return the callback, with the parameters that this rclpy fills, and that messages stay bytes."""
-        callback = self.receive if _GIVES_STAMPS else lambda payload: self.receive(payload, None)
+        callback = self.receive if _GIVES_STAMPS else self.receive_bytes
         return {"callback": callback, "raw": True}
 
     def _count(self, entity: Any) -> int:
@@ -165,28 +165,36 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
         # rclpy counts no matched publishers before ROS 2 Iron: those that fit are counted.
         return int(count()) if count is not None else int(self._node.fitting(self))
 
-    def receive(self, payload: bytes, info: dict[str, Any] | None) -> None:
-        """Deliver a message and those that wait behind it; without ``info`` they have no stamps."""
-        # The executor builds a wait set over all entities of the node for each message it takes. What else
-        # has arrived is taken here at once, as the executor's own ``_take_subscription`` does.
+    def receive(self, payload: bytes, info: dict[str, Any]) -> None:
+        """Deliver a message that the executor has taken."""
         with self._lock:
-            self._deliver(payload, info["source_timestamp"] if info else 0)
+            self._deliver(payload, info["source_timestamp"])
+            self.take()  # an executor builds a wait set over all entities of the node for the next one
+
+    def receive_bytes(self, payload: bytes) -> None:
+        """Deliver a message without a stamp, before ROS 2 Iron."""
+        self.receive(payload, {"source_timestamp": 0})
+
+    def take(self) -> bool:
+        """Deliver what has arrived, as rclpy's executor takes it; return False after the end."""
+        with self._lock:
             for _ in range(_BATCH):
                 entity = self.entity
                 if self.closed or entity is None:
-                    return
+                    return False
                 try:
                     with entity.handle:
                         taken = entity.handle.take_message(entity.msg_type, True)
                 except InvalidHandle:
-                    return
+                    return False
                 except Exception as error:
                     self.reject(error)
                     continue
                 if taken is None:
-                    return
-                # All stamps of a topic are of one kind, though these messages would have theirs.
-                self._deliver(taken[0], taken[1]["source_timestamp"] if info else 0)
+                    break
+                # All stamps of a topic are of one kind: where the executor gives none, none are taken.
+                self._deliver(taken[0], taken[1]["source_timestamp"] if _GIVES_STAMPS else 0)
+            return True
 
     def _deliver(self, payload: bytes, stamp_ns: int) -> None:
         if self.closed:
