@@ -364,7 +364,7 @@ class OverviewScreen(Screen[None]):
         """Give events the lines that a screen of this height can spare."""
         lines = max((lines for height, lines in _EVENT_LINES if event.size.height >= height), default=0)
         self.query_one("#events", Static).styles.height = lines
-        self._show_events()
+        self.call_after_refresh(self._draw)
 
     def show(self, picture: Picture, events: list[Event]) -> None:
         """Show a new look, and what happened since the start, the newest last."""
@@ -431,21 +431,22 @@ class OverviewScreen(Screen[None]):
         )
         box.update(text if newest else plain(" Nothing happened since the start.", "dim"), layout=False)
 
-    def on_channel_table_highlighted(self, event: ChannelTable.Highlighted) -> None:
+    def on_data_table_row_highlighted(self, event: ChannelTable.RowHighlighted) -> None:
         """Tell about the row under the cursor."""
         with suppress(NoMatches):  # the screen goes
             self._details()
 
-    def on_channel_table_opened(self, event: ChannelTable.Opened) -> None:
+    def on_data_table_row_selected(self, event: ChannelTable.RowSelected) -> None:
         """Open the row's message."""
         view = self.query_one(ChannelTable).chosen
         if view is not None:
             self.post_message(self.Chosen(view))
 
-    def on_channel_table_heading_clicked(self, event: ChannelTable.HeadingClicked) -> None:
+    def on_data_table_header_selected(self, event: ChannelTable.HeaderSelected) -> None:
         """Sort by the column whose heading was clicked."""
-        again = event.by == self._order.by
-        self._reorder(replace(self._order, by=event.by, reverse=again and not self._order.reverse))
+        by = event.column_key.value or ""
+        again = by == self._order.by
+        self._reorder(replace(self._order, by=by, reverse=again and not self._order.reverse))
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Filter while typing."""

@@ -1,7 +1,6 @@
 """The table of channels, its columns and orders, and the colours of levels.
 
-Every figure changes at every look. The widget draws only the lines on the screen; textual's own table keeps
-cells for all rows, and took three times the processor time.
+What a look has not changed stays as it is.
 """
 
 from __future__ import annotations
@@ -10,19 +9,14 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import Any, ClassVar
 
 from rich.cells import cell_len, set_cell_size
-from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
 from textual.binding import Binding, BindingType
-from textual.events import Click, Resize
-from textual.geometry import Size
-from textual.message import Message
-from textual.scroll_view import ScrollView
-from textual.strip import Strip
+from textual.coordinate import Coordinate
+from textual.widgets import DataTable
 
 from rosplc.harmless import one_line, shorten
 from rosplc.levels import Level
@@ -157,124 +151,55 @@ def heading(column: Column, width: int, order: Sorting) -> str:
     return text.rjust(width) if column.figure else text.ljust(width)
 
 
-_HEADING = Style(bold=True, underline=True)
-_CURSOR = Style(reverse=True)
-
-
-class ChannelTable(ScrollView, can_focus=True):
+class ChannelTable(DataTable[Text]):
     """Shows channels in an order; the cursor follows its channel."""
-
-    class Highlighted(Message):
-        """The cursor is on another channel."""
-
-    class Opened(Message):
-        """A channel was chosen, by Enter or a second click."""
-
-    class HeadingClicked(Message):
-        """A heading was clicked; ``by`` is the name of its order."""
-
-        def __init__(self, by: str) -> None:
-            super().__init__()
-            self.by = by
 
     DEFAULT_CSS = """
     ChannelTable { height: 1fr; background: $background; overflow-x: hidden; scrollbar-size-vertical: 1; }
+    ChannelTable > .datatable--header { background: $background; text-style: bold underline; }
+    ChannelTable > .datatable--cursor { background: $background; text-style: reverse; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("enter", "open", "Open"),
-        Binding("up,k", "move(-1)", show=False),
-        Binding("down,j", "move(1)", show=False),
-        Binding("pageup", "page(-1)", show=False),
-        Binding("pagedown", "page(1)", show=False),
-        Binding("home,g", "move(-1000000)", show=False),
-        Binding("end,G", "move(1000000)", show=False),
+        Binding("enter", "select_cursor", "Open"),
+        Binding("k", "cursor_up", show=False),
+        Binding("j", "cursor_down", show=False),
+        Binding("home,g", "scroll_top", show=False),
+        Binding("end,G", "scroll_bottom", show=False),
     ]
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(cursor_type="row", cell_padding=0, cursor_foreground_priority="renderable")
         self._views: list[picture.ChannelView] = []
-        self._sorting = Sorting()
-        self._row = 0
+        self._headings: list[str] = []
 
     @property
     def chosen(self) -> picture.ChannelView | None:
         """The channel under the cursor; None if there are no channels."""
-        return self._views[self._row] if self._row < len(self._views) else None
+        return self._views[self.cursor_row] if self.cursor_row < len(self._views) else None
 
     def show(self, channels: list[picture.ChannelView], order: Sorting) -> None:
         """Show channels, which are in this order."""
         chosen = self.chosen
-        self._views, self._sorting = channels, order
-        row = next((at for at, view in enumerate(channels) if chosen and view.id == chosen.id), self._row)
-        self._fit()
-        self._place(row)
-
-    def render_line(self, y: int) -> Strip:
-        """Draw one line: the heading, or a channel."""
-        width = self.size.width
-        columns = columns_for(width)
-        row = y - 1 + int(self.scroll_y)
-        if y == 0:
-            text = " ".join(heading(column, size, self._sorting) for column, size in columns)
-            segments = [Segment(text, _HEADING)]
-        elif 0 <= row < len(self._views):
-            view = self._views[row]
-            cells = [fitted(column, size, view) for column, size in columns]
-            # The first column is the state.
-            segments = [Segment(cells[0], LEVEL_STYLES[view.state.level]), Segment(" " + " ".join(cells[1:]))]
-            if row == self._row:
-                segments = list(Segment.apply_style(segments, post_style=_CURSOR))
+        self._views, row = channels, self.cursor_row
+        row = next((at for at, view in enumerate(channels) if chosen and view.id == chosen.id), row)
+        columns = columns_for(self.size.width)
+        headings = [f"{heading(column, size, order)} " for column, size in columns]
+        cells = [[_cell(column, size, view) for column, size in columns] for view in channels]
+        if headings == self._headings and len(cells) == self.row_count:
+            for at, line in enumerate(cells):
+                for number, cell in enumerate(line):
+                    if self.get_cell_at(place := Coordinate(at, number)) != cell:
+                        self.update_cell_at(place, cell)
         else:
-            segments = []
-        return Strip(segments).adjust_cell_length(width).apply_style(self.rich_style)
+            self._headings = headings
+            self.clear(columns=True)
+            for (column, _), title in zip(columns, headings, strict=True):
+                self.add_column(Text(title), width=len(title), key=column.by)
+            self.add_rows(cells)
+        if row != self.cursor_row:
+            self.move_cursor(row=row)
 
-    def on_resize(self, event: Resize) -> None:
-        """Keep the cursor in sight."""
-        self._fit()
-        self._place(self._row)
 
-    def on_click(self, event: Click) -> None:
-        """Choose a channel, open it by a second click, or sort by a heading."""
-        if event.y == 0:
-            columns = columns_for(self.size.width)
-            ends = accumulate(size + 1 for _, size in columns)
-            for (column, _), end in zip(columns, ends, strict=True):
-                if event.x < end:
-                    self.post_message(self.HeadingClicked(column.by))
-                    return
-            return
-        row = event.y - 1 + int(self.scroll_y)
-        if row < len(self._views):
-            self._move_to(row)
-            if event.chain > 1:
-                self.post_message(self.Opened())
-
-    def action_open(self) -> None:
-        """Open the channel under the cursor."""
-        if self.chosen is not None:
-            self.post_message(self.Opened())
-
-    def action_move(self, rows: int) -> None:
-        """Move the cursor by so many rows."""
-        self._move_to(self._row + rows)
-
-    def action_page(self, pages: int) -> None:
-        """Move the cursor by so many screens."""
-        self._move_to(self._row + pages * max(1, self.size.height - 1))
-
-    def _fit(self) -> None:
-        self.virtual_size = Size(self.size.width, len(self._views) + 1)
-
-    def _move_to(self, row: int) -> None:
-        self._place(row)
-        self.post_message(self.Highlighted())
-
-    def _place(self, row: int) -> None:
-        self._row = max(0, min(row, len(self._views) - 1))
-        lines = max(1, self.size.height - 1)
-        first = int(self.scroll_y)
-        if self._row < first:
-            self.scroll_to(y=self._row, animate=False, force=True)
-        elif self._row >= first + lines:
-            self.scroll_to(y=self._row - lines + 1, animate=False, force=True)
-        self.refresh()
+def _cell(column: Column, width: int, view: picture.ChannelView) -> Text:
+    style = LEVEL_STYLES[view.state.level] if column.by == "state" else ""
+    return Text(f"{fitted(column, width, view)} ", style=style, no_wrap=True, end="")
