@@ -14,13 +14,7 @@ from rosplc.bridge.realtime import contention
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.config.plans import ActionPlan, CallPlan, ServicePlan, flag_topic
 from rosplc.config.quantities import format_duration
-from rosplc.config.resolve import (
-    Project,
-    TopicPlan,
-    load_project,
-    object_plans,
-    open_doors,
-)
+from rosplc.config.resolve import Project, TopicPlan, load_project, object_plans, open_doors
 from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, compute_layout

@@ -36,10 +36,7 @@ def _bridged(
 
 @contextmanager
 def bind_service(
-    service: str,
-    type: str,
-    handler: Callable[[RecordView], Mapping[str, Any]] | None = None,
-    **settings: Any,
+    service: str, type: str, handler: Callable[[RecordView], Mapping[str, Any]] | None = None, **settings: Any
 ) -> Iterator[Callable[..., RecordView]]:
     """Carry a service in a bridge's place, until the block ends; its value calls the PLC.
 

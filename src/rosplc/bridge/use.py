@@ -293,14 +293,7 @@ class Use(Notes, ABC):
         self._let_go(now_ns)
         self.finish(now_ns)
 
-    def _send(
-        self,
-        record: bytes,
-        part: Part | None = None,
-        *,
-        stamp_ns: int = 0,
-        **words: Any,
-    ) -> None:
+    def _send(self, record: bytes, part: Part | None = None, *, stamp_ns: int = 0, **words: Any) -> None:
         """Publish a message in one of the objects that the bridge writes; in the first unless said."""
         if not self._writers:
             raise ChannelError("SHM111", "the objects are not open", where=self.plan.called)

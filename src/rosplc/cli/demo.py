@@ -43,7 +43,7 @@ from rosplc.cli.text import ProgressLine, print_json, say, table
 from rosplc.cli.verb import EXIT_FAILURE, EXIT_INTERRUPTED, Between, verb
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from rosplc.demo.plan import Plan
     from rosplc.demo.supervisor import Outage, Result
@@ -113,8 +113,13 @@ def _structured_text(plan: Plan) -> Iterator[Path]:
         folder = Path(name)
         project = plc_project(write_configuration(folder, plan), ProjectOptions())
         write_texts(folder, plan, project, translator.programs)
-        with _translating() as on_parsed:
-            built = translator.build(read_texts(folder), on_parsed)
+        line, text = ProgressLine(), "translating Structured Text to C: {} of {} new objects"
+        try:
+            built = translator.build(
+                read_texts(folder), lambda done, of: line.show(lambda: text.format(done, of))
+            )
+        finally:
+            line.clear()
         try:
             yield folder
         finally:
@@ -133,17 +138,6 @@ def _openplc(plan: Plan) -> Iterator[Path]:
         print("compiling the PLC program for OpenPLC", file=sys.stderr, flush=True)
         compile_prepared(Path(name))
         yield Path(name)
-
-
-@contextlib.contextmanager
-def _translating() -> Iterator[Callable[[int, int], None]]:
-    """Show on stderr how the translation gets on."""
-    line = ProgressLine()
-    text = "translating Structured Text to C: {} of {} new objects"
-    try:
-        yield lambda done, of: line.show(lambda: text.format(done, of))
-    finally:
-        line.clear()
 
 
 def _run(

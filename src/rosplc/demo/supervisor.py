@@ -156,10 +156,7 @@ def _flow(topic: str, to: str, sent: int, tally: dict[str, int], counted: int | 
 
 
 _POLL = 0.05
-_STARTUP, _QUIET = (
-    60.0,
-    10.0,
-)  # seconds to find each other, and in which nothing comes any more
+_STARTUP, _QUIET = (60.0, 10.0)  # seconds to find each other, and in which nothing comes any more
 _KILL_AFTER = 5.0
 _DOWN_SECONDS = 0.5
 

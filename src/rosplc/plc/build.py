@@ -54,10 +54,7 @@ SERVICE_GVL, ACTION_GVL = "ROS_Services", "ROS_Actions"
 """The lists that hold the instances of services and actions."""
 SAFE_GVL = "ROS_Safe"  # the list that holds what a message becomes when its source is silent
 PARAMETER_GVL, _PARAMETER_BLOCK = "ROS_Parameters", "RosPlc_Parameters"
-_PROGRAMS = {
-    "read": "Takes what came from ROS; call it first",
-    "write": "Sends to ROS; call it last",
-}
+_PROGRAMS = {"read": "Takes what came from ROS; call it first", "write": "Sends to ROS; call it last"}
 _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 
 
@@ -89,10 +86,7 @@ def read_arguments(topic: PlcTopic, safe: str = "") -> Iterator[str]:
 
 
 def programs_of(
-    tasks: Sequence[PlcTask],
-    calls: dict[tuple[str, str], list[str]],
-    options: ProjectOptions,
-    scope: Scope,
+    tasks: Sequence[PlcTask], calls: dict[tuple[str, str], list[str]], options: ProjectOptions, scope: Scope
 ) -> tuple[list[Pou], tuple[Task, ...]]:
     """Return a reading and a writing program per task that has topics, and the tasks."""
     programs: list[Pou] = []
@@ -416,10 +410,7 @@ def _what(topic: PlcTopic) -> str:
 
 
 def _notes(
-    builder: DutBuilder,
-    topics: Sequence[PlcTopic],
-    cycles: dict[str, int],
-    options: ProjectOptions,
+    builder: DutBuilder, topics: Sequence[PlcTopic], cycles: dict[str, int], options: ProjectOptions
 ) -> list[str]:
     notes = [*builder.renamings, *builder.omitted]
     for topic in topics:

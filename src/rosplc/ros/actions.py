@@ -473,11 +473,7 @@ class ActionClient(_Action):
         keep(backend.subscribe(*place("status", STATUSES), STATUS_QOS, self._on_statuses))
         self._services: list[side.ServiceClient] = [
             keep(backend.client(*place(*each), side.SERVICES))
-            for each in (
-                ("send_goal", "SendGoal"),
-                ("cancel_goal", CANCELS),
-                ("get_result", "GetResult"),
-            )
+            for each in (("send_goal", "SendGoal"), ("cancel_goal", CANCELS), ("get_result", "GetResult"))
         ]
 
     @property

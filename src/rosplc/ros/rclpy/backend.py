@@ -96,10 +96,7 @@ class OwnNode:
         self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
         try:
             self.node: Any = Node(
-                name,
-                context=self.context,
-                namespace=namespace,
-                start_parameter_services=parameter_services,
+                name, context=self.context, namespace=namespace, start_parameter_services=parameter_services
             )
             self._executor = SingleThreadedExecutor(context=self.context)
             self._executor.add_node(self.node)
