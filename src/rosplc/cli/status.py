@@ -86,18 +86,13 @@ def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
     several = len({view.prefix for view in picture.channels}) > 1
     rows = []
     for view in picture.channels:
-        figures = ["-"] * 4
         if view.kind != "topic":
             continue
-        if view.direction:
-            figures = [rate_text(view.rate_hz), age_text(view.age_ns)]
-            figures += [count_text(view.lost), count_text(view.refused)]
-        row = [state_text(view), view.topic, way_text(view), *figures, plc_text(view), view.prefix]
-        rows.append(row if several else row[:-1])
-    if rows:
-        say()
-    header = ["  state", "topic", "way", "per s", "age", "lost", "refused", "PLC", "prefix"]
-    table(rows, header=header if several else header[:-1])
+        figures = [rate_text(view.rate_hz), age_text(view.age_ns)]
+        figures += [count_text(view.lost), count_text(view.refused)]
+        figures = figures if view.direction else ["-"] * 4
+        rows.append([state_text(view), view.topic, way_text(view), *figures, plc_text(view), view.prefix])
+    _table(rows, ["  state", "topic", "way", "per s", "age", "lost", "refused", "PLC", "prefix"], several)
     _print_calls(picture, several)
     if picture.wrong:
         say()
@@ -126,18 +121,20 @@ def _print_calls(picture: Picture, several: bool) -> None:
         calls, ended = 0, ""
         if (call := view.call) is not None:
             way = "ROS calls PLC" if call.server == "plc" else "PLC calls ROS"
-            calls, newest = (
-                call.number,
-                f"{'open, ' if call.open else ''}{call.status}" if call.number else "none",
-            )
+            calls = call.number
+            newest = f"{'open, ' if call.open else ''}{call.status}" if calls else "none"
             ended = ", ".join(f"{count} {words}" for words, count in call.ended.items())
         name = f"{view.topic} {view.client}".rstrip()
         row = [state_text(worst), view.kind, name, way, count_text(calls), newest, ended or "-"]
-        rows.append([*row, plc_text(view), *([view.prefix] if several else [])])
+        rows.append([*row, plc_text(view), view.prefix])
     header = ["  state", "kind", "name", "way", "calls", "newest call", "ended lately", "PLC", "prefix"]
+    _table(rows, header, several)
+
+
+def _table(rows: list[list[str]], header: list[str], several: bool) -> None:
     if rows:
         say()
-    table(rows, header=header if several else header[:-1])
+    table((row if several else row[:-1] for row in rows), header=header if several else header[:-1])
 
 
 def _follow(watch: Watch, *, as_json: bool) -> None:
