@@ -44,6 +44,7 @@ from rosplc.project import (
 
 _SCREEN = 24  # lines that are printed without --verbose
 _WARNINGS = 6
+_CALLS = ("direction", "type", "bytes", "client", "task", "waits at most", "in the PLC")
 _WAYS = {1: "ROS → PLC", 2: "PLC → ROS"}
 
 
@@ -144,17 +145,7 @@ def _calls(project: Project) -> Iterator[str]:
             rows.append((plan.called, way, plan.type_name, sizes, *about))
         if plans:
             yield ""
-            header = (
-                plans[0].kind,
-                "direction",
-                "type",
-                "bytes",
-                "client",
-                "task",
-                "waits at most",
-                "in the PLC",
-            )
-            yield from columns(rows, header=header)
+            yield from columns(rows, header=(plans[0].kind, *_CALLS))
 
 
 def _queue(plan: ServicePlan | ActionPlan) -> str:

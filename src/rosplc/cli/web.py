@@ -17,7 +17,6 @@ that you do not trust. It needs `pip install 'rosplc[views]'`.
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import sys
@@ -25,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rosplc.cli.options import Configs, Directory, Prefix, StaleAfter, need_extra, open_watch
-from rosplc.cli.text import say, warn
+from rosplc.cli.text import print_json, say, warn
 from rosplc.cli.verb import Between, verb
 from rosplc.errors import WebError
 from rosplc.harmless import log_to_stderr
@@ -91,7 +90,7 @@ def command(
                 "allow_write": allow_write,
                 "token_to_view": settings.token_to_view,
             }
-            sys.stdout.write(json.dumps(document) + "\n")
+            print_json(document, one_line=True)
         else:
             _introduce(settings, url, from_file=token_file)
         sys.stdout.flush()
