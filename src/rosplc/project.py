@@ -339,7 +339,7 @@ def when_silent(project: Project, plan: TopicPlan) -> str:
             "hold": "the PLC keeps the last message",
             "zero": "every byte of the PLC's msg is zero, with xSubstituted",
         }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted")
-        lives = "" if safe.action == "hold" else ", whether or not the bridge lives"
+        lives = "" if safe.action == "hold" else ", whether or not the bridge runs"
         unchanged = "; a record that does not change counts as silent" if plan.classic else ""
         return f"after {after} {value} and xStale{lives}{unchanged}"
     diagnostics = project.config.settings.diagnostics

@@ -160,7 +160,7 @@ def test_bytes_that_are_no_message_stop_at_the_bridge(ros1: Graph, tmp_path: Pat
 
 @pytest.mark.verify(minutes=2)
 def test_everything_dies_and_comes_back(ros1: Graph, tmp_path: Path, shm_prefix: str) -> None:
-    """Master, bridge and robot are killed in the stream, one after the other, and each time it goes on."""
+    """Master, bridge and robot are killed in the stream, one after the other, and each time it continues."""
     path = config(tmp_path, shm_prefix)
     with ExitStack() as stack:
         bridge = Bridge(path, ros1.variables)

@@ -445,7 +445,7 @@ def test_the_page_asks_for_the_token_where_looking_needs_it(browser: Any, machin
             page.get_by_label("Token").fill(token)
             page.get_by_role("button", name="Open").click()
             if token == "wrong":
-                expect(page.get_by_text("the token is not the right one")).to_be_visible()
+                expect(page.get_by_text("the token is wrong")).to_be_visible()
         expect(link(page, "/agv/battery")).to_be_visible()
     finally:
         made.close()

@@ -36,7 +36,7 @@ def test_a_path_has_names_and_indices(text: str, steps: tuple[str | int, ...]) -
 )
 def test_what_is_no_path_is_refused(text: str) -> None:
     """Anything else is an error, and quickly."""
-    with pytest.raises(ValueError, match="no path"):
+    with pytest.raises(ValueError, match="not the path"):
         parse_path(text)
 
 
@@ -144,8 +144,8 @@ def test_a_token_file_gives_its_token(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("content", "mode", "what"),
     [
-        ("0123456789abcdef", 0o640, "others than its owner"),
-        ("0123456789abcdef", 0o604, "others than its owner"),
+        ("0123456789abcdef", 0o640, "other than its owner"),
+        ("0123456789abcdef", 0o604, "other than its owner"),
         ("short", 0o600, "holds no token"),
         ("0123456789 abcdef", 0o600, "holds no token"),
         ("0123456789abcdef\nsecond", 0o600, "holds no token"),

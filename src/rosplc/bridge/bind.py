@@ -298,7 +298,7 @@ def type_name_of(message_class: type) -> str:
     if not rest or rest[0] != "msg":
         raise MessageTypeError(
             "TYP001",
-            f"{message_class.__name__} is no message class",
+            f"{message_class.__name__} is not a message class",
             remedy="Give the class of rclpy or rospy, or the type's name.",
         )
     return f"{package}/msg/{message_class.__name__}"

@@ -35,7 +35,7 @@ class Changes:
         parts = [f"{word} {', '.join(plan.name for plan in plans)}" for word, plans in named if plans]
         kinds = {plan.kind for plan in self.kept if isinstance(plan, CallPlan)}
         what = " and ".join(("topics", *(f"{kind}s" for kind in ("service", "action") if kind in kinds)))
-        return "; ".join([*parts, f"{len(self.kept)} {what} stay as they are"])
+        return "; ".join([*parts, f"{what} unchanged: {len(self.kept)}"])
 
 
 def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
@@ -64,7 +64,7 @@ def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
         what = f"it was {_written(old, path)} and would be {_written(new, path)}"
         problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
     if old.parameters != new.parameters and not problems:
-        what = "what the PLC has of them would change"
+        what = "their layout in the PLC would change"
         problems.wrong(source, ("parameters",), what, "", "CFG012")
 
 
@@ -95,7 +95,7 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
             if isinstance(plan, CallPlan):
                 key = (f"{plan.kind}s", plan.called, "type")
             source = new.config.source
-            what = f"the definition of {name} is another than the one in use"
+            what = f"the definition of {name} differs from the one in use"
             problems.add(source.wrong(key, what, code="CFG012"), source.line(key))
 
 

@@ -68,7 +68,7 @@ class Stream(Notes, ABC):
     def connect(self, backend: Backend) -> None:
         """Subscribe or advertise. Raises as the backend does; BackendError ROS019."""
         if self.plan.qos.promises and "deadline" not in backend.capabilities:
-            what = f"the {backend.name} backend carries neither deadline nor lease"
+            what = f"the {backend.name} backend supports neither deadline nor lease"
             raise BackendError("ROS019", what, where=self.plan.topic)
         self._connect(backend)
 

@@ -226,7 +226,7 @@ class Use(Notes, ABC):
     def connect(self, backend: Backend) -> None:
         """Serve the service or action, or become its client. Raises as the backend does; ROS019."""
         if "services" not in backend.capabilities:
-            what = f"the {backend.name} backend carries no {self.plan.kind}s"
+            what = f"the {backend.name} backend supports no {self.plan.kind}s"
             raise BackendError("ROS019", what, where=self.plan.called, remedy="Choose another ros.backend.")
         self._endpoint = self._connect(backend)
 

@@ -291,22 +291,22 @@ def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
     times = (("deadline", qos.deadline_ns), ("lease", qos.lease_ns))
     words = [f"{word} {format_duration(ns)}" for word, ns in times if ns]
     yield "QoS", f"{', '.join([qos.reliability, qos.durability, f'depth {qos.depth}', *words])} ({chosen})"
-    lost = "is sent again" if qos.reliability == "reliable" else "stays lost"
-    way = f"what is lost on the way {lost}"
+    lost = "are sent again" if qos.reliability == "reliable" else "stay lost"
+    way = f"lost messages {lost}"
     if plan.layout.store.ros_version == 1:
-        way = "over TCP: nothing is lost on the way while the connection stands"
-    waiting = f"at most {qos.depth} messages wait, the oldest give way"
+        way = "over TCP: nothing is lost while the connection lasts"
+    waiting = f"at most {qos.depth} messages wait, the oldest are dropped"
     yield "", f"{way}; {'one message waits, the newest' if qos.depth == 1 else waiting}"
     kept = qos.durability == "transient_local"
     if plan.direction != 1:
         yield (
             "",
-            f"who subscribes later gets {'the messages that were kept' if kept else 'nothing from before'}",
+            f"a late subscriber gets {'the messages that were kept' if kept else 'nothing from before'}",
         )
     elif kept:
-        yield "", "what publishers kept from before the start of the bridge comes, too"
+        yield "", "what publishers kept from before the bridge started is received"
     else:
-        yield "", "what was published before the start of the bridge does not come"
+        yield "", "what was published before the bridge started is not received"
 
 
 def _total(project: Project) -> Iterator[str]:

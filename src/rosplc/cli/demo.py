@@ -66,7 +66,7 @@ def command(
 
     Options:
         duration TIME: How long messages are sent, such as 20s; without it until Ctrl-C, or for 20s
-            where the output is no terminal.
+            where the output is not a terminal.
         rate HZ: Messages per second and topic.
         topics N: Topics that the robot sends.
         plc KIND: What the PLC runs: python; st, generated Structured Text in C; or openplc, a program in

@@ -257,7 +257,7 @@ def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
         ways: dict[str, Literal["plc", "ros"] | None] = {"plc": "plc", "ros": "ros", "none": None}
         found = [each for each in ways if answer.strip() and each.startswith(answer.strip().lower())]
         if len(found) != 1:
-            raise ValueError(f"  {answer.strip().lower()!r} is none of {', '.join(ways)}")
+            raise ValueError(f"  {answer.strip().lower()!r} is not one of {', '.join(ways)}")
         return ways[found[0]]
 
     wishes = []

@@ -100,7 +100,7 @@ def command(
     seconds = duration_ns(duration, "--duration") / 1e9
     chosen = next((one for one in COMPRESSIONS if one == compression), None)
     if chosen is None:
-        what = f"{compression!r} is none of {', '.join(COMPRESSIONS)}"
+        what = f"{compression!r} is not one of {', '.join(COMPRESSIONS)}"
         raise typer.BadParameter(what, param_hint="--compression")
     if keep is None and (trigger or after is not None):
         raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
@@ -163,7 +163,7 @@ def _record(options: RecordingOptions, seconds: float, *, quiet: bool, as_json: 
             if recorder.result is not None:
                 _report(recorder, recorder.result, as_json=as_json)
     if recorder.result is not None and not recorder.result.received and not options.keep_ns:
-        raise RecordingError("REC004", "not one message came", where=options.namespace.prefix)
+        raise RecordingError("REC004", "no message arrived", where=options.namespace.prefix)
 
 
 def _leave_closed_terminal() -> None:

@@ -55,7 +55,7 @@ def command(
                 f"this user may not signal the bridge, process {pid}",
                 remedy="Run it as the bridge's user or with sudo; for a service: systemctl reload.",
             ) from error
-        say(f"The bridge of prefix {prefix} (process {pid}) reads its configuration again; see its log.")
+        say(f"The bridge of prefix {prefix} (process {pid}) is reloading its configuration; see its log.")
 
 
 def _handles_reload(pid: int) -> bool:

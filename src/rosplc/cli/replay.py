@@ -158,7 +158,7 @@ def _distro(given: str | None, topics: dict[str, SourceTopic] | None) -> str:
     """Return the distribution: the one asked for, the recording's if it is one, the environment's, jazzy."""
     if given is not None:
         if given not in DISTROS:
-            raise typer.BadParameter(f"{given!r} is none of {', '.join(DISTROS)}", param_hint="--distro")
+            raise typer.BadParameter(f"{given!r} is not one of {', '.join(DISTROS)}", param_hint="--distro")
         return given
     # A ROS 1 bag is most often wanted in ROS 2: what it goes to decides.
     recorded = {one.distro for one in (topics or {}).values() if one.distro in DISTROS and not one.ros1}

@@ -58,7 +58,7 @@ def _check_terminal() -> None:
     # The picture is drawn on stderr, as textual does.
     for name in ("stdin", "stdout", "stderr"):
         if not getattr(sys, name).isatty():
-            raise SetupError("SYS012", f"{name} is no terminal")
+            raise SetupError("SYS012", f"{name} is not a terminal")
     if os.environ.get("TERM", "") in ("", "dumb", "unknown"):
-        what = f"the terminal says that it can only print lines (TERM={os.environ.get('TERM', '')})"
+        what = f"the terminal can only print lines (TERM={os.environ.get('TERM', '')})"
         raise SetupError("SYS012", what)

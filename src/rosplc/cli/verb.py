@@ -122,7 +122,7 @@ def _known(error: Exception) -> RosplcError | None:
     if isinstance(error, RosplcError):
         return error
     if is_out_of_memory(error):
-        return SetupError("SYS014", "the system gave no more memory")
+        return SetupError("SYS014", "the system has no more memory")
     if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         return SetupError("SYS006", "too many files are open", where=str(error.filename or ""))
     if isinstance(error, OSError) and error.errno in _NO_OUTPUT and error.filename is None:

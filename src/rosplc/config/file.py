@@ -217,7 +217,7 @@ def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigE
     kind, value, context = item["type"], item.get("input"), item.get("ctx", {})
     if kind == "extra_forbidden":
         hint = did_you_mean(str(path[-1]), _keys_at(path[:-1]))
-        return source.wrong(path, f"{path[-1]!r} is no key here{hint}", code="CFG003")
+        return source.wrong(path, f"{path[-1]!r} is not a key here{hint}", code="CFG003")
     if kind == "missing":
         remedy = _MISSING.get(str(path[-1]), "")
         remedy = remedy.replace("/msg/", _FOLDERS.get(str(path[0]), "/msg/"))

@@ -140,7 +140,7 @@ def _yaml(text: str, what: str) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
-        raise _refuse(what, f"it is no YAML: {' '.join(str(error).split())}") from None
+        raise _refuse(what, f"it is not YAML: {' '.join(str(error).split())}") from None
 
 
 def _from_file(path: Path, node: str) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
         what = f"the name {name!r} begins with {settings.prefix}., as this bridge's own objects do"
         raise config.source.wrong(key, what, "Give another with classic: {name: …}.")
     if settings.shm.directory != "/dev/shm":
-        what = "classic topics lie in /dev/shm, where semaphores are; shm.directory is "
+        what = "classic topics are in /dev/shm, where semaphores are; shm.directory is "
         raise config.source.wrong(key, what + settings.shm.directory)
     poll = settings.tick_ns
     if not passes_changes_only(entry) and entry.to == "ros":
@@ -162,7 +162,7 @@ def checked_record(
     for path, item in _leaves(value, ()):
         # In Structured Text there is no way to write these.
         if isinstance(item, float) and not math.isfinite(item):
-            raise config.source.wrong((*key, *path), f"{item} is no number")
+            raise config.source.wrong((*key, *path), f"{item} is not a number")
         if isinstance(item, str) and not item.isprintable():
             raise config.source.wrong((*key, *path), f"{item!r} has characters that cannot be printed")
     return record
@@ -352,7 +352,7 @@ def _contradictions(
         problems.wrong(config.source, (*path, *key), *what)
 
     if any(part in _RESERVED for part in str(path[1]).split("/")):
-        what = f"names with {' or '.join(_RESERVED)} are ROS' own"
+        what = f"names with {' or '.join(_RESERVED)} are reserved by ROS"
         wrong((), what, "Choose another name.")
     config.task(entry.task, (*path, "task"), problems)
     for client, use in entry.clients.items():
@@ -372,7 +372,7 @@ def _contradictions(
     seen: dict[str, str] = {}
     for client in entry.clients:
         if (before := seen.setdefault(client.lower(), client)) != client:
-            what = f"{client} and {before} are one name in the PLC, where capitals do not count"
+            what = f"{client} and {before} are the same name in the PLC, which ignores case"
             wrong(("clients", client), what, "", "CFG007")
 
 
@@ -392,7 +392,7 @@ def _layouts(
         if word in own and inner:
             own[word][inner] = capacity
         elif name not in ("string", "sequence"):
-            what = f"{name!r} is no field of a {' or '.join(words)}"
+            what = f"{name!r} is not a field of a {' or '.join(words)}"
             remedy = f"Write {' or '.join(f'{word}.FIELD' for word in words)}, or string or sequence."
             problems.wrong(config.source, (*path, "limits", name), what, remedy)
     found = {}

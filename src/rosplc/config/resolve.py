@@ -382,7 +382,7 @@ def check_ros(config: Config, problems: Problems) -> None:
     if ros.zenoh is not None and ros.zenoh.config is not None:
         path = config.base / ros.zenoh.config
         if not path.is_file():
-            refuse(("ros", "zenoh", "config"), f"{path} is no file", "Correct the path.", "CFG001")
+            refuse(("ros", "zenoh", "config"), f"{path} is not a file", "Correct the path.", "CFG001")
 
 
 def describe(plan: Plan, part: Part = Part.TOPIC, *, distro: str, bridge: str) -> Description:

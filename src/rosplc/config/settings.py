@@ -96,7 +96,7 @@ def _absolute(what: str) -> AfterValidator:
 
 def _not_longer(text: str, most: int) -> None:
     if len(text) > most:
-        raise ValueError(f"a text of {len(text)} characters; {most} are the most here")
+        raise ValueError(f"a text of {len(text)} characters; the limit is {most}")
 
 
 def _pattern(expression: str, wording: str, longest: int = LONGEST_NAME) -> AfterValidator:
@@ -120,7 +120,7 @@ def _known_distro(name: str) -> str:
 def _known_backend(name: str) -> str:
     known = ("auto", *BACKENDS)
     if name not in known:
-        raise ValueError(f"{name!r} is no backend{did_you_mean(name, known)}")
+        raise ValueError(f"{name!r} is not a backend{did_you_mean(name, known)}")
     return name
 
 
@@ -627,7 +627,7 @@ class ActionSettings(_CallSettings):
     when_plc_down: Literal["cancel", "keep"] = _f(
         "cancel",
         "`server: ros`: what becomes of a goal in ROS when the PLC's program stops or is silent. `cancel`: "
-        "the server is asked to cancel it. `keep`: it goes on.",
+        "the server is asked to cancel it. `keep`: it continues.",
     )
 
 

@@ -163,7 +163,7 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
         raise _too_large(name)
     if half := _HALF.search(text):
         line = text.count("\n", 0, half.start()) + 1
-        raise ConfigError("CFG002", f"{half[0]!r} is no character", where=f"{name}:{line}")
+        raise ConfigError("CFG002", f"{half[0]!r} is not a character", where=f"{name}:{line}")
     builder = _Builder(name, problems)
     try:
         for event in yaml.parse(text, Loader=_Loader):

@@ -169,7 +169,7 @@ def against_config(
             where = each.name if block.layout_id else each.use
             stale.append(found("DOC702", f"{where}: {what}{f'; {more}' if more else ''}", command=command))
     count = plural(len(wanted) - len(missing), "object")
-    yield from stale or [fine("DOC702", f"the code's layouts of {count} are the configuration's")]
+    yield from stale or [fine("DOC702", f"code and configuration have the same layout for {count}")]
     what = f"not in the code: {listed(dict.fromkeys(missing))}" if missing else ""
     yield judged("DOC704", what, "the code has a block for every topic, service and action", command=command)
     what = f"only in the code: {listed(dict.fromkeys(b.use for b in blocks.values()))}" if blocks else ""
@@ -205,7 +205,7 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
     for what in wrong:
         yield found("DOC703", what)
     if count and not wrong:
-        yield fine("DOC703", f"the running bridge has the code's layouts in {plural(count, 'object')}")
+        yield fine("DOC703", f"the running bridge has the same layout in {plural(count, 'object')}")
 
 
 def fences(code: Generated, machine: str, command: str) -> Iterator[Finding]:

@@ -442,7 +442,7 @@ class _Examination:
         except RosplcError as error:
             yield found("DOC510", f"{error.what} [{error.code}]", error.remedy)
             return
-        yield fine("DOC510", f"looked at {seen.where} over {seen.backend}")
+        yield fine("DOC510", f"examined {seen.where} over {seen.backend}")
         silent = project.config.settings.ros.distro in (ROS1, "humble")
         runs = any(each.live for each in self._carried())
 

@@ -153,7 +153,7 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
             ("durability", end.qos.durability, plan.qos.durability),
         )
         settings = ", ".join(f"{key}: {theirs}" for key, theirs, own in pairs if theirs != own)
-        remedy = "Change these settings of the node: ROS has no such."
+        remedy = "Change these settings of the node: ROS does not have them."
         if problem:
             remedy = f"Write `qos: {{{settings}}}` for {plan.topic}."
         return found("DOC514", f"{does}, but {obstacles} [ROS004]", remedy)
@@ -163,7 +163,7 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
 
 
 def _nobody(graph: Graph, name: str, plan: TopicPlan, *, to_plc: bool) -> Finding:
-    what = f"nobody {'publishes' if to_plc else 'subscribes to'} {name}"
+    what = f"no node {'publishes' if to_plc else 'subscribes to'} {name}"
     if near := _similar(graph, name, plan.type_name):
         remedy = f"Correct the name, or write `ros: {{remap: {{{name}: {near}}}}}`."
         return found("DOC515", f"{what}; did you mean {near}?", remedy)
@@ -206,14 +206,14 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
             command, stdin=subprocess.DEVNULL, capture_output=True, env=own, timeout=most, check=False
         )
     except subprocess.TimeoutExpired:
-        raise TimeoutError(f"the look at the graph did not end within {most:g} s") from None
+        raise TimeoutError(f"examining the graph did not end within {most:g} s") from None
     lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
     words = lines[-1].strip()[:_LONGEST_WORDS] if lines else ""
     try:
         # Written by this module, in a process of our own; a library may have printed something before it.
         answer = pickle.loads(base64.b64decode(done.stdout.rpartition(b"\n")[2], validate=True))
     except (ValueError, EOFError, pickle.UnpicklingError):
-        what = f"the look at the graph ended with status {done.returncode}: {words or 'it said nothing'}"
+        what = f"examining the graph ended with status {done.returncode}: {words or 'no output'}"
         raise BackendError("ROS002", what) from None
     if isinstance(answer, RosplcError):
         if words and answer.code == "ROS002":  # what the library wrote would be lost with the process

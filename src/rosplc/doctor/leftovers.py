@@ -48,8 +48,8 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
         what = plural(len(unknown), "object")
         yield found("DOC003", f"not visible: who holds {what}, since /proc/locks cannot be read")
     what = f"no bridge holds {plural(len(left), 'object')}: {_names(left)}" if left else ""
-    yield judged("DOC205", what, "a bridge holds every object that is there", command=_clean(left, objects))
-    what = f"not in the configuration, and held by nobody: {_names(strangers)}" if strangers else ""
+    yield judged("DOC205", what, "every object is held by a bridge", command=_clean(left, objects))
+    what = f"not in the configuration, and held by no bridge: {_names(strangers)}" if strangers else ""
     well = "no object is left of topics that the configuration does not have"
     yield judged("DOC206", what, well, command=_clean(strangers, objects))
     yield judged("DOC208", f"retired: {_names(retired)}" if retired else "", "no retired object is left")
@@ -131,9 +131,9 @@ def ownership(
     yield judged("DOC209", what, "no object of another user is in the way", command=command)
     open_ = {seen.label: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
     who = "change" if max(open_.values(), default=0) & 0o002 else "read"
-    what = f"everybody may {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
+    what = f"every user may {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
     remedy = "In the configuration: shm: {mode: '0660', group: GROUP}; then restart it."
-    yield judged("DOC210", what, "no object is open to everybody", remedy)
+    yield judged("DOC210", what, "no object is open to every user", remedy)
 
 
 _LOOKS = 12

@@ -70,7 +70,7 @@ def open_files(limit: int, topics: int) -> Iterator[Finding]:
 
 
 def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding]:
-    """Report whether real-time priority and locked memory may be had.
+    """Report whether real-time priority and locked memory are permitted.
 
     ``priority`` and ``locked`` (bytes) are soft limits, ``resource.RLIM_INFINITY`` for none; ``capabilities``
     are the process's effective ones, as a set of bits.
@@ -79,8 +79,8 @@ def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding
     may_lock = locked == resource.RLIM_INFINITY or locked >= _ENOUGH or capabilities >> _CAP_IPC_LOCK & 1
     amount = "any" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
     seen = f"highest real-time priority {priority}, {amount} of locked memory"
-    remedy = "Nothing, unless it matters; then LimitRTPRIO= and LimitMEMLOCK= of the systemd unit."
-    well = "real-time priority and locked memory may be had"
+    remedy = "If real time matters, set LimitRTPRIO= and LimitMEMLOCK= in the systemd unit."
+    well = "real-time priority and locked memory are permitted"
     yield judged("DOC105", "" if may_run and may_lock else seen, well, remedy)
 
 
@@ -127,7 +127,7 @@ def _remove_ipc(root: Path) -> tuple[bool, str]:
 def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
     """Judge what the kernel has mounted at /dev/shm (None: nothing), and whether objects are there."""
     if not directory.is_dir():
-        yield found("DOC201", f"{directory} is no folder", command=f"mkdir -p {directory}")
+        yield found("DOC201", f"{directory} is not a folder", command=f"mkdir -p {directory}")
     elif directory != Path("/dev/shm"):
         seen = f"shm.directory is {directory}, where a PLC does not look"
         yield found("DOC201", seen, "Remove shm.directory, unless it is for a test.", level=Level.WARNING)
@@ -135,7 +135,7 @@ def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
         is_there = mount is not None and mount.point == "/dev/shm"
         what = f"it is {mount.kind}" if mount is not None and is_there else "nothing is mounted there"
         mend = "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
-        yield found("DOC201", f"/dev/shm is no memory file system: {what}", command=mend)
+        yield found("DOC201", f"/dev/shm is not a memory file system: {what}", command=mend)
     else:
         seen = "/dev/shm is mounted read-only" if mount.read_only else ""
         mend = "sudo mount -o remount,rw /dev/shm"

@@ -60,7 +60,7 @@ def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     for name, value, right in wrong:
         yield found("DOC403", f"{name} is {value!r}; it is {right}", command=f"unset {name}")
     if not wrong:
-        yield fine("DOC403", "ROS's variables have values that ROS knows")
+        yield fine("DOC403", "the ROS environment variables have valid values")
 
 
 def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
@@ -138,7 +138,7 @@ def addresses(
         except (OSError, UnicodeError):
             yield found("DOC406", f"{name}={text} has no address")
             return
-    seen = "" if any(map(is_local, numbers)) else f"{name}={text} is no address of this machine"
+    seen = "" if any(map(is_local, numbers)) else f"{name}={text} is not an address of this machine"
     yield judged("DOC410", seen, f"{name}={text} is an address of this machine", command=f"unset {name}")
 
 
@@ -166,7 +166,7 @@ def resolve(host: str) -> list[str]:
 
 
 def is_local(address: str) -> bool:
-    """Return whether an IPv4 address is this machine's: only such a one can be listened at."""
+    """Return whether an IPv4 address is this machine's: a server can listen only on such a one."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, 0))
@@ -264,9 +264,9 @@ def master(
         what = f"ROS_MASTER_URI is {uri!r}; it is something like http://localhost:11311"
         yield found("DOC403", what, command="export ROS_MASTER_URI=http://localhost:11311")
         return
-    what = f"nobody answers at {uri}: {reason}" if (reason := call(host, port)) else ""
+    what = f"nothing answers at {uri}: {reason}" if (reason := call(host, port)) else ""
     if not what and (reason := ask(uri)):
-        what = f"what answers at {uri} is no ROS master: {reason}"
+        what = f"what answers at {uri} is not a ROS master: {reason}"
     yield judged("DOC408", what, f"the ROS master answers at {uri}", command="roscore")
 
 
@@ -277,10 +277,10 @@ def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answer
         host, _, rest = address.rpartition(":")
         port = rest.partition("?")[0].partition("#")[0]
         if protocol not in ("tcp", "tls", "ws") or not port.isdigit():
-            what = f"not visible from outside: whether somebody answers at {locator}"
-            yield found("DOC003", what, "Nothing; the bridge will say.")
+            what = f"not visible from outside: whether anything answers at {locator}"
+            yield found("DOC003", what, "No action needed: the bridge reports it.")
             continue
         reason = call(host.strip("[]"), int(port))
-        what = f"nobody answers at {locator}: {reason}" if reason else ""
+        what = f"nothing answers at {locator}: {reason}" if reason else ""
         command = "ros2 run rmw_zenoh_cpp rmw_zenohd"
-        yield judged("DOC409", what, f"somebody answers at {locator}", command=command)
+        yield judged("DOC409", what, f"a router answers at {locator}", command=command)

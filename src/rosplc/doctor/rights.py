@@ -158,7 +158,7 @@ def rights(files: Sequence[File], uid: int, gids: frozenset[int]) -> Iterator[Fi
     remedy = f"Put {user} into the group {group}, and start the runtime again."
     if first.gid == 0 or first.mode & 0o060 != 0o060:
         make, group = "sudo groupadd --force plc && ", "plc"
-        remedy = f"Make a group that {user} is in, and give it the objects with {shared}."
+        remedy = f"Create a group that {user} is in, and give it the objects with {shared}."
     yield found("DOC303", what, remedy, f"{make}sudo usermod --append --groups {group} {user}")
 
 
@@ -172,7 +172,7 @@ def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]
         yield found("DOC003", f"not visible: what process {each.pid} ({each.name}) has at /dev/shm")
     for each in seen:
         if each.shm is not None and own is not None and each.shm.device != own.device:
-            yield found("DOC304", f"{each.name} (process {each.pid}) has a /dev/shm of its own", _SHARE)
+            yield found("DOC304", f"{each.name} (process {each.pid}) has its own /dev/shm", _SHARE)
             return
     if seen and not hidden:
         yield fine("DOC304", "the runtime sees the same /dev/shm")

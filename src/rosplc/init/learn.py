@@ -203,7 +203,7 @@ def take(
     needed = described.dependencies(type_name)
     for name in needed:
         if name in definitions.store and _fields(definitions.store, name) != _fields(described, name):
-            what = f"{name} is another than {definitions.store.distro}'s in what {origin} has"
+            what = f"{name} differs between {origin} and {definitions.store.distro}"
             raise MessageTypeError("TYP005", what)
     plain = split_definition(type_name, described.definition_text(type_name))
     sources = {source["type_name"]: source for source in answer["type_sources"]}
@@ -228,7 +228,7 @@ def _described(answer: Mapping[str, Any], type_name: str, type_hash: str) -> Typ
     if own["type_name"] != type_name:
         raise _refused(f"it describes {one_line(own['type_name'][:80])!r}")
     if len(others) > MOST_TYPES:
-        raise MessageTypeError("TYP007", f"it needs {len(others)} types; {MOST_TYPES} are the most")
+        raise MessageTypeError("TYP007", f"it needs {len(others)} types; the limit is {MOST_TYPES}")
     texts = {each["type_name"]: _text(each) for each in (own, *others)}
     store = TypeStore.from_definition(type_name, join_texts(texts))
     if (found := store.type_hash(type_name)) != type_hash:

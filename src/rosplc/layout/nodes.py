@@ -221,7 +221,7 @@ class Limits:
         fields: Capacity by field path, such as ``{"name": 6, "name[]": 20}``.
 
     Raises:
-        LayoutError: LAY001, a capacity is no whole number or out of range.
+        LayoutError: LAY001, a capacity is not a whole number or out of range.
     """
 
     string: int = 80

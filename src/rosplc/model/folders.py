@@ -123,7 +123,7 @@ def _package_of(file: Path) -> str:
         folder = folder.parent
     name = _name_in(folder / "package.xml") or folder.name
     if not _PACKAGE.match(name):
-        raise MessageTypeError("TYP002", f"{name!r} is no package name", where=str(file))
+        raise MessageTypeError("TYP002", f"{name!r} is not a package name", where=str(file))
     return name
 
 

@@ -65,7 +65,7 @@ def parse_value(text: str, kind: types.FieldType) -> types.Value:
     if not isinstance(kind, types.ArrayType | types.SequenceType):
         return _parse_scalar(text, kind)
     if not (text.startswith("[") and text.endswith("]")):
-        raise LiteralError(f"{_cut(text)} is no array literal such as [1, 2]")
+        raise LiteralError(f"{_cut(text)} is not an array literal such as [1, 2]")
     if isinstance(kind.element, types.NamedType):
         raise LiteralError(f"a field of type {kind} cannot have a default value")
     items = tuple(_parse_scalar(item, kind.element) for item in _split(text[1:-1]))
@@ -100,7 +100,7 @@ def _parse_scalar(text: str, kind: types.PrimitiveType | types.StringType) -> bo
         return _parse_float(text, kind.name)
     # Longer ones fit no type, and Python refuses to convert thousands of digits.
     if not _INTEGER.match(text) or len(text) > 80:
-        raise LiteralError(f"{_cut(text)} is no whole number")
+        raise LiteralError(f"{_cut(text)} is not a whole number")
     # int() with base 0 refuses leading zeros, which ROS reads as decimal.
     value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)
     low, high = INTEGER_RANGES[kind.name]
@@ -115,7 +115,7 @@ def _parse_scalar(text: str, kind: types.PrimitiveType | types.StringType) -> bo
 
 def _parse_float(text: str, name: str) -> float:
     if not _FLOAT.match(text):
-        raise LiteralError(f"{_cut(text)} is no number")
+        raise LiteralError(f"{_cut(text)} is not a number")
     value = float(text)
     try:
         struct.pack("<f" if name == "float32" else "<d", value)
@@ -183,7 +183,7 @@ def full_name(name: str, kind: str = "msg") -> str:
     """
     found = _TYPE_NAME.match(name) if len(name) <= MAX_NAME else None
     if not found:
-        raise MessageTypeError("TYP001", f"{name[:80]!r} is no type name such as geometry_msgs/msg/Twist")
+        raise MessageTypeError("TYP001", f"{name[:80]!r} is not a type name such as geometry_msgs/msg/Twist")
     return f"{found[1]}/{found[2] or kind}/{found[3]}"
 
 
@@ -193,12 +193,12 @@ def check_names(message: types.MessageType) -> None:
     Raises MessageTypeError TYP001 for the type's name, TYP002 for a field's or constant's.
     """
     if full_name(message.name) != message.name:
-        raise MessageTypeError("TYP001", f"{message.name!r} is no full name such as geometry_msgs/msg/Twist")
+        raise MessageTypeError("TYP001", f"{message.name!r} is not a full name like geometry_msgs/msg/Twist")
     seen: set[str] = set()
     items: list[types.Field | types.Constant] = [*message.fields, *message.constants]
     for item in items:
         if not _NAME.match(item.name) or len(item.name) > MAX_NAME or item.name in seen:
-            what = "is defined twice" if item.name in seen else "is no name of a field or constant"
+            what = "is defined twice" if item.name in seen else "is not the name of a field or constant"
             raise MessageTypeError("TYP002", f"{item.name[:80]!r} {what}", where=message.name)
         seen.add(item.name)
 
@@ -221,7 +221,7 @@ def parse_definition(
     # JSON can hold halves of characters: no file can, and no hash has a form for them.
     if half := _HALF.search(text):
         number = text.count("\n", 0, half.start()) + 1
-        raise _syntax(f"{half[0]!r} is no character", where, number)
+        raise _syntax(f"{half[0]!r} is not a character", where, number)
     found: dict[str, ParsedType] = {}
     budget = MAX_FIELDS
     sections = list(_sections(full_name(type_name), text, where))
@@ -299,7 +299,7 @@ def _parse_line(line: str, package: str, ros_version: int) -> types.Field | type
     if len(name) > MAX_NAME or len(type_text) > 2 * MAX_NAME:
         raise LiteralError(f"a name has more than {MAX_NAME} characters")
     if (found := parse_field_type(type_text, package, ros1=ros_version == 1)) is None:
-        raise LiteralError(f"{type_text[:80]!r} is no type")
+        raise LiteralError(f"{type_text[:80]!r} is not a type")
     kind, valid = found
     if not valid:
         raise LiteralError(f"{type_text[:80]!r}: lengths and bounds are within 1 … 4294967295")

@@ -84,7 +84,7 @@ class TypeStore:
         if distro not in DISTROS:
             near = difflib.get_close_matches(distro, DISTROS, 1)
             hint = f"; did you mean {near[0]}?" if near else ""
-            raise MessageTypeError("TYP006", f"{distro!r} is none of {', '.join(DISTROS)}{hint}")
+            raise MessageTypeError("TYP006", f"{distro!r} is not one of {', '.join(DISTROS)}{hint}")
         return _bundled(distro)
 
     @classmethod

@@ -129,7 +129,7 @@ def _preamble(lines: list[str]) -> tuple[str, tuple[tuple[str, str], ...], list[
             comments.append(line[3:])
         elif line:
             return "\n".join(comments), tuple(attributes), lines[index:]
-    raise ValueError("no object in the text")
+    raise ValueError("the text contains no object")
 
 
 def _enumerator(line: str, where: str) -> tuple[str, int]:

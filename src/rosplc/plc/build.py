@@ -118,7 +118,7 @@ _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}\Z")
 _CLIENT = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,31})?\Z")
 _LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
 _SETTINGS_GVL = "RosPlc_Settings"
-_SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge lives.
+_SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge runs.
 After a change download the program: an online change may keep the values that were there before."""
 
 

@@ -149,7 +149,7 @@ class Conversion:
         def checked(value: Any) -> Any:
             count = len(value.encode(errors="surrogateescape") if isinstance(value, str) else value)
             if count > bound:
-                raise CodecError("COD008", f"{count} {what}, {bound} are the most", where=path)
+                raise CodecError("COD008", f"{count} {what}; the limit is {bound}", where=path)
             return change(value)
 
         return checked
@@ -196,7 +196,7 @@ class Requests(Conversion):
         if self._seen.setdefault(call, kind) != kind:
             return None
         if not event["request"]:
-            raise CodecError("COD001", "the recording has only the fact of the request", where=self._where)
+            raise CodecError("COD001", "the recording does not have the request's content", where=self._where)
         [request] = event["request"]
         return self._written(request["goal"] if self._is_goal else request)
 

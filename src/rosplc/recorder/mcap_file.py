@@ -411,7 +411,7 @@ def read_part(path: Path, part: Part) -> list[Message]:
 
 def _failed(error: OSError, path: Path) -> RecordingError:
     what = error.strerror or str(error)
-    return RecordingError("REC003", what, where=str(path), remedy="Check permissions, and the disk it is on.")
+    return RecordingError("REC003", what, where=str(path), remedy="Check its permissions and the disk.")
 
 
 def _summary(path: Path, stream: _Bounded) -> Survey | None:
@@ -468,7 +468,7 @@ def _walk(found: Survey, stream: _Bounded) -> None:
         found.complete = False
         if offset == begin:
             begun = stream.tell() > 0 and not isinstance(error, InvalidMagic)
-            what = "it has no whole record" if begun else "this is no MCAP file"
+            what = "it has no whole record" if begun else "this is not an MCAP file"
             remedy = _HOPELESS if begun else _NO_MCAP
             what = f"{what}: {_words(error)}"
             raise RecordingError("REC003", what, where=str(found.path), remedy=remedy) from error
@@ -515,7 +515,7 @@ def _decompress(chunk: Chunk) -> bytes:
     """Return a chunk's bytes, as many as it claims and no more."""
     size = chunk.uncompressed_size
     if size > MAX_CHUNK:
-        raise ValueError(f"a chunk claims {size} bytes; {MAX_CHUNK} are the most")
+        raise ValueError(f"a chunk claims {size} bytes; the limit is {MAX_CHUNK}")
     if chunk.compression == "zstd":
         data = zstandard.ZstdDecompressor().stream_reader(BytesIO(chunk.data)).read(size + 1)
     elif chunk.compression == "lz4":

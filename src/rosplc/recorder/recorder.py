@@ -68,7 +68,7 @@ class Condition:
             if not isinstance(self.value, str) or self.operator not in ("==", "!="):
                 raise self._wrong(f"{self.path} is text: compare it with == or != and a text in quotes")
         elif isinstance(self.value, str):
-            raise self._wrong(f"{self.path} is no text: compare it with a number, true or false")
+            raise self._wrong(f"{self.path} is not text: compare it with a number, true or false")
 
     def _wrong(self, what: str) -> RecordingError:
         return RecordingError("REC005", what, where=self.text)
@@ -104,7 +104,7 @@ def _value(text: str, where: str) -> bool | int | float | str:
         return text[1:-1]
     if _NUMBER.fullmatch(text):
         return int(text) if text.lstrip("+-").isdigit() else float(text)
-    what = f"{text} is no number, no true or false, and no text in quotes"
+    what = f"{text} is neither a number nor true or false nor quoted text"
     raise RecordingError("REC005", what, where=where)
 
 

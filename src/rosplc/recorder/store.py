@@ -337,7 +337,7 @@ def _writing(path: Path) -> Iterator[None]:
             raise RecordingError("REC002", f"no room: {error.strerror}", where=str(path)) from error
         what = error.strerror or str(error)
         if isinstance(error, FileExistsError):
-            what = "there is something at this name already, and nothing is overwritten"
+            what = "this name exists already, and nothing is overwritten"
         raise RecordingError("REC001", what, where=str(path)) from error
 
 

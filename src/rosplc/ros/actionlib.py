@@ -83,7 +83,7 @@ def _read_id(goal_id: Mapping[str, Any]) -> GoalInfo:
     """Return a goal's text, and its stamp; ROS008 if the text is too long."""
     text, stamp = goal_id["id"].encode(errors="surrogateescape"), goal_id["stamp"]
     if len(text) > LONGEST_ID:
-        raise BackendError("ROS008", f"a goal's id has {len(text)} bytes, {LONGEST_ID} are the most")
+        raise BackendError("ROS008", f"a goal's id has {len(text)} bytes; the limit is {LONGEST_ID}")
     return text, stamp["sec"] % 2**32 * 10**9 + stamp["nanosec"]
 
 

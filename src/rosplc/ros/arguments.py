@@ -127,7 +127,7 @@ def _rule(text: str) -> tuple[str, str, str]:
     if ":" in source:
         node, _, source = source.partition(":")
         if not _NODE.match(node):
-            raise _refuse(text, f"{node!r} is no node's name")
+            raise _refuse(text, f"{node!r} is not a node's name")
     try:
         if source in ("__node", "__name"):
             return node, "__node", validate_node_name(target)

@@ -24,7 +24,7 @@ def _check(kind: str, name: str) -> None:
     if not isinstance(name, str) or not name.startswith("/"):
         raise _refuse(kind, name, "a full name starts with /")
     if len(name) > LONGEST_NAME:
-        raise _refuse(kind, name, f"it has {len(name)} characters, {LONGEST_NAME} are the most")
+        raise _refuse(kind, name, f"it has {len(name)} characters; the limit is {LONGEST_NAME}")
     for token in name[1:].split("/"):
         if not token:
             raise _refuse(kind, name, "it ends with a /, or has two together")
@@ -51,7 +51,7 @@ def validate_node_name(name: str) -> str:
     if not isinstance(name, str) or not _TOKEN.match(name):
         raise _refuse("node", name, "it may have only letters, digits and _, and starts with no digit")
     if len(name) > 255:
-        raise _refuse("node", name, "255 characters are the most")
+        raise _refuse("node", name, "the limit is 255 characters")
     return name
 
 

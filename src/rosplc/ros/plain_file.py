@@ -22,10 +22,10 @@ def unreadable_kind(path: Path, *, folder: bool = True) -> tuple[str, str]:
                 return "this is a folder", "Name one of its files."
             for one in sorted(path.iterdir()):
                 if one.suffix in _OPENED and one.exists() and not (one.is_file() or one.is_dir()):
-                    return f"{one.name} in it is no plain file", GIVE_FILE
+                    return f"{one.name} in it is not a plain file", GIVE_FILE
             return "", ""
     except FileNotFoundError:
         return "there is no such file", CHECK_PATH
     except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
         return getattr(error, "strerror", None) or str(error), "Check path and permissions."
-    return ("", "") if stat.S_ISREG(mode) else ("this is no plain file", GIVE_FILE)
+    return ("", "") if stat.S_ISREG(mode) else ("this is not a plain file", GIVE_FILE)

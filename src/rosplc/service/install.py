@@ -405,7 +405,7 @@ def plan_service(
     if config is None:
         if name is None:
             remedy = "Give --config FILE, or a name for /etc/rosplc/NAME.yaml."
-            raise SetupError("SYS011", "it is not said which bridge", remedy=remedy)
+            raise SetupError("SYS011", "no bridge was named", remedy=remedy)
         config = Path(f"/etc/rosplc/{name}.yaml")
     config = Path(config if config.is_absolute() else config.absolute())
     found = root / config.relative_to("/")

@@ -270,7 +270,7 @@ class ClassicLock:
             raise _other_kind(self.path, len(content))
         value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
         if shared != _SHARED or value > _LARGEST:
-            raise channel_error(128, "its content is none of a semaphore", self.path)
+            raise channel_error(128, "its content is not a semaphore's", self.path)
 
     def _create(self, rights: Rights) -> None:
         try:

@@ -310,7 +310,7 @@ def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
     first, size = files.read_header(fd)
     if ours or first[:4] == spec.MAGIC.to_bytes(4, "little"):
         return
-    what = f"a file of {size} bytes that no bridge has made has this name"
+    what = f"a file of {size} bytes that no bridge created has this name"
     remedy = "If nothing uses it, remove it; otherwise choose another prefix."
     code = "SHM103" if size < spec.HEADER_SIZE else "SHM104"
     raise ChannelError(code, what, where=str(path), remedy=remedy)

@@ -488,7 +488,7 @@ class Message:
         """Set the named fields; a mapping for a nested message sets only what it names.
 
         Raises:
-            AttributeError: A name is no field of the type.
+            AttributeError: A name is not a field of the type.
         """
         for name, value in values.items():
             present = getattr(self, name)

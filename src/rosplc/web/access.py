@@ -71,7 +71,7 @@ def read_token(path: Path) -> str:
     except OSError as error:
         raise WebError("WEB002", f"cannot be read: {error.strerror}", where=str(path)) from error
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        what = f"others than its owner may use it: {describe_status(status)}"
+        what = f"users other than its owner may use it: {describe_status(status)}"
         raise WebError("WEB002", what, where=str(path), remedy=f"chmod 600 {path}.")
     if not _CHARACTERS.fullmatch(text):
         what = f"holds no token: {_FEWEST} to {_MOST} printable characters without a blank"
@@ -137,7 +137,7 @@ def wrong_origin(origin: str, host: str) -> bool:
 def require_token(settings: Settings, given: str) -> None:
     """Raise WebError WEB005 unless the token is right."""
     if not same_token(settings.token, given):
-        raise WebError("WEB005", "a token is needed" if not given else "the token is not the right one")
+        raise WebError("WEB005", "a token is needed" if not given else "the token is wrong")
 
 
 def bearer(request: web.Request) -> str:

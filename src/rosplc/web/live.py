@@ -47,7 +47,7 @@ def parse_path(text: str) -> tuple[str | int, ...]:
         steps.append(found[1] if found[2] is None else int(found[2]))
         at = found.end()
     if not steps or at != len(text):
-        raise ValueError(f"{text[:80]!r} is no path of a field")
+        raise ValueError(f"{text[:80]!r} is not the path of a field")
     return tuple(steps)
 
 
@@ -89,7 +89,7 @@ class Wants:
         found = data if isinstance(data, dict) else {"messages": None}
         messages, plots = found.get("messages", []), found.get("plots", {})
         if not isinstance(messages, list) or not isinstance(plots, dict):
-            what = "what a page wants is an object: `messages` is a list, `plots` an object"
+            what = "a page's request is an object: `messages` is a list, `plots` an object"
             raise WebError("WEB009", what)
         for name in [*messages, *plots]:
             if not isinstance(name, str) or len(name) > _MAX_ID:
@@ -504,7 +504,7 @@ async def _receive(socket: web.WebSocketResponse, seconds: float | None) -> dict
     except (ValueError, RecursionError):
         data = None
     if not isinstance(data, dict):
-        raise WebError("WEB009", "a message that is no JSON object")
+        raise WebError("WEB009", "the message is not a JSON object")
     return data
 
 

@@ -107,7 +107,7 @@ class _Api:
     async def write(self, request: web.Request) -> web.Response:
         """Write a test message: ``{"channel": id, "layout": id, "message": {...}, "not_finite": bool}``."""
         if not self._settings.allow_write:
-            raise WebError("WEB006", "this server was started for looking only")
+            raise WebError("WEB006", "this server was started read-only")
         await self._require_token(request)
         wish = await _json(request)
         channel, layout, message = wish.get("channel"), wish.get("layout"), wish.get("message")
@@ -167,7 +167,7 @@ class _Api:
 
 
 def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is no JSON")
+    raise ValueError(f"{name} is not JSON")
 
 
 async def _json(request: web.Request) -> dict[str, Any]:
@@ -182,7 +182,7 @@ async def _json(request: web.Request) -> dict[str, Any]:
     except (ValueError, RecursionError):
         data = None
     if not isinstance(data, dict):
-        raise WebError("WEB009", "a message that is no JSON object")
+        raise WebError("WEB009", "the message is not a JSON object")
     return data
 
 

@@ -155,7 +155,7 @@ def write_message(
     with attach_object(namespace, topic) as attached:
         layout = layout_of(attached)
         if layout.layout_id != layout_id:
-            what = "the channel has another layout than the form was made for"
+            what = "the channel's layout is not the form's"
             raise WebError("WEB010", what, where=topic, remedy="Open the form again.")
         record = bytes(layout.pack(from_form(form_of(layout), message, not_finite=not_finite)))
         writer = attached.snapshot().writer
@@ -184,7 +184,7 @@ def _publish(region: Region, same_layout: bool, topic: str, record: bytes, stamp
         raise
     try:
         if not same_layout:  # replaced between two looks
-            raise WebError("WEB010", "the channel has another layout by now", where=topic)
+            raise WebError("WEB010", "the channel's layout has changed", where=topic)
         return writer.publish(record, stamp_ns=stamp_ns, stamp_clock=STAMP_SYSTEM)
     finally:
         writer.release()

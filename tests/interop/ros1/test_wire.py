@@ -93,7 +93,7 @@ def test_comments_and_dependencies_are_saved(ros1: Graph, tmp_path: Path) -> Non
 
 def test_nobody_to_ask_is_said(ros1: Graph) -> None:
     """Without a publisher, and without a master, the error says so."""
-    with pytest.raises(RosplcError, match=r"nobody publishes /parts.*ROS017"):
+    with pytest.raises(RosplcError, match=r"no node publishes /parts.*ROS017"):
         wire().definition_on_wire("/parts", 0.0, environment=ros1.environment)
     ros1.kill_master()
     with pytest.raises(RosplcError, match=r"does not answer.*ROS014"):

@@ -203,14 +203,14 @@ def test_actions_come_and_go(cell: Cell, plc: ActionServer, client: Client) -> N
     bridge = start(cell, plc)
     uuid = accept(plc, client, 3)
     said = str(bridge.reload(config(cell, SERVED.replace("plc}", "plc, on_new_goal: abort}"))))
-    assert said == "changed action /count; 0 topics stay as they are"
+    assert said == "changed action /count; topics unchanged: 0"
     repeat_until(plc, lambda: bridge.status().actions[0].goal_status == "executing", "adoption", every=0.005)
     wait_for(lambda: client.ready)
     client.adopt(uuid)
     server: Any = bridge._streams[0]
     wait_for(lambda: server._endpoint._goals[uuid].waiting, "the request for the result")
     said = str(bridge.reload(config(cell, "")))
-    assert said == "removed action /count; 0 topics stay as they are"
+    assert said == "removed action /count; topics unchanged: 0"
     assert cell.namespace.objects() == []
     repeat_until(plc, lambda: not plc.xAttached, "the end of the objects", every=0.005)
     wait_for(lambda: "result" in client.kinds(uuid))

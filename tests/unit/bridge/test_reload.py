@@ -39,7 +39,7 @@ def test_topics_come_and_go(cell: Cell) -> None:
     bridge = cell.start(BOTH)
     leaving = cell.plc("/in")
     said = reload(cell, f"  /out: {{type: {INT}, to: ros}}\n  /new: {{type: {INT}, to: plc}}\n")
-    assert said == "added /new; removed /in; 1 topics stay as they are"
+    assert said == "added /new; removed /in; topics unchanged: 1"
     assert objects(cell.namespace) == {"/out", "/new"}
     with pytest.raises(ChannelError, match="SHM111"):
         leaving.attached.valid()

@@ -108,7 +108,7 @@ def test_a_closing_terminal_stops_nothing(run: object, shm_namespace: Namespace)
         before = found.snapshot().writer.beat
         wait_for(lambda: found.snapshot().writer.beat >= before + 5)
     process.terminate()
-    assert "2 topics stay as they are" in process.communicate(timeout=100)[1]
+    assert "topics unchanged: 2" in process.communicate(timeout=100)[1]
     assert process.returncode == 0
 
 

@@ -120,12 +120,12 @@ def test_services_come_and_go(cell: Cell, plc: tuple[ServiceServer, ServiceClien
     bridge = start(cell, SERVED)
     wait_for(lambda: serve(server), every=0.01)
     said = str(bridge.reload(config(cell, SERVED + CALLED, f"  /t: {{type: {INT}, to: plc}}\n")))
-    assert said == "added /t, service /grip pick; 1 topics and services stay as they are"
+    assert said == "added /t, service /grip pick; topics and services unchanged: 1"
     assert text(answered(server, ask(cell))) == "from the PLC"
     repeat_until(client, lambda: client.xAttached, every=0.005)
     again = SERVED.replace("plc}", "plc, depth: 3}")
     assert str(bridge.reload(config(cell, again))) == (
-        "removed /t, service /grip pick; changed service /start; 0 topics stay as they are"
+        "removed /t, service /grip pick; changed service /start; topics unchanged: 0"
     )
     names = [name.removeprefix(cell.namespace.prefix) for name, _ in cell.namespace.objects()]
     assert names == [".sq.start", ".sr.start"]

@@ -18,17 +18,17 @@ INT = "std_msgs/msg/Int32"
         (
             "to: plc, on_stale: zero",
             "after 1s every byte of the PLC's msg is zero, with xSubstituted and xStale, "
-            "whether or not the bridge lives",
+            "whether or not the bridge runs",
         ),
         (
             "to: plc, on_stale: {value: {data: 5}}",
             'after 1s the PLC\'s msg is {"data": 5}, with xSubstituted and xStale, '
-            "whether or not the bridge lives",
+            "whether or not the bridge runs",
         ),
         (
             "to: plc, classic: true, on_stale: {value: {}}",
             "after 1s the PLC's msg is the type's initial message, with xSubstituted and xStale, "
-            "whether or not the bridge lives; a record that does not change counts as silent",
+            "whether or not the bridge runs; a record that does not change counts as silent",
         ),
         ("to: ros", "ROS gets nothing"),
         ("to: ros, stale_after: 2s", "ROS gets nothing; 500ms later /diagnostics says STALE"),

@@ -99,17 +99,17 @@ def test_who_may_open_the_objects_is_told(tmp_path: Path, shm: str, words: str) 
 @pytest.mark.parametrize(
     ("entry", "ros", "words"),
     [
-        ("to: plc, qos: sensor_data", "jazzy", "what is lost on the way stays lost; at most 5 messages wait"),
-        ("to: plc", "jazzy", "what was published before the start of the bridge does not come"),
+        ("to: plc, qos: sensor_data", "jazzy", "lost messages stay lost; at most 5 messages wait"),
+        ("to: plc", "jazzy", "what was published before the bridge started is not received"),
         (
             "to: plc, latched: true",
             "jazzy",
-            "what publishers kept from before the start of the bridge comes, too",
+            "what publishers kept from before the bridge started is received",
         ),
         ("to: ros, qos: {depth: 1}", "jazzy", "sent again; one message waits, the newest"),
-        ("to: ros", "jazzy", "who subscribes later gets the messages that were kept"),
-        ("to: ros, latched: false", "jazzy", "who subscribes later gets nothing from before"),
-        ("to: plc", "noetic", "over TCP: nothing is lost on the way while the connection stands"),
+        ("to: ros", "jazzy", "a late subscriber gets the messages that were kept"),
+        ("to: ros, latched: false", "jazzy", "a late subscriber gets nothing from before"),
+        ("to: plc", "noetic", "over TCP: nothing is lost while the connection lasts"),
     ],
 )
 def test_quality_of_service_is_told_in_words(tmp_path: Path, entry: str, ros: str, words: str) -> None:

@@ -221,7 +221,7 @@ def test_top_refuses_what_is_no_terminal():
         [sys.executable, "-m", "rosplc", "top"], stdin=subprocess.DEVNULL, capture_output=True, text=True
     )
     assert done.returncode == 1
-    assert "error SYS012: stdin is no terminal" in done.stderr
+    assert "error SYS012: stdin is not a terminal" in done.stderr
     assert "rosplc status" in done.stderr
 
 

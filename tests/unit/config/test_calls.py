@@ -143,7 +143,12 @@ def test_limits_by_part() -> None:
         ("type: {T}, server: ros, fallback: {}", "CFG004", "services./a.fallback", "`server: plc`"),
         ("type: {T}, server: ros, clients: [a, a]", "CFG004", "services./a.clients", "different names"),
         ("type: {T}, server: ros, clients: [a-b]", "CFG004", "services./a.clients", "a letter"),
-        ("type: {T}, server: ros, clients: [a, A]", "CFG007", "services./a.clients.A", "one name in the PLC"),
+        (
+            "type: {T}, server: ros, clients: [a, A]",
+            "CFG007",
+            "services./a.clients.A",
+            "same name in the PLC",
+        ),
         (
             "type: {T}, server: ros, clients: {a: {task: No}}",
             "CFG004",
@@ -154,7 +159,7 @@ def test_limits_by_part() -> None:
             "type: {T}, server: plc, limits: {success: 3}",
             "CFG004",
             "services./a.limits.success",
-            "no field",
+            "not a field",
         ),
         (
             "type: {T}, server: plc, limits: {response.no: 3}",
@@ -210,7 +215,7 @@ def test_what_is_wrong_is_named_with_its_key(entry: str, code: str, place: str, 
 def test_names_that_ros_makes_itself(name: str, section: str, kind: str) -> None:
     ((code, _, what),) = errors_of(f"type: {kind}, server: plc", name, section)
     assert code == "CFG004"
-    assert "ROS' own" in what
+    assert "reserved by ROS" in what
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def test_what_stood_there_before_counts_where_it_is_asked_for() -> None:
         ("to: plc, classic: {name: rosplc.t.a}", "as this bridge's own objects do"),
         ("to: plc, classic: {wait: 2s}", "is not between 100us and 1s"),
         ("to: plc, classic: {recover_after: 1ms}", "is not between 20ms and 1h"),
-        ("to: plc, classic: {lock: x}", "'lock' is no key here"),
+        ("to: plc, classic: {lock: x}", "'lock' is not a key here"),
     ],
 )
 def test_what_does_not_go_together_is_named(entry: str, words: str) -> None:
@@ -87,7 +87,7 @@ def test_a_name_that_a_plc_cannot_hold_is_refused() -> None:
 
 def test_another_directory_is_refused() -> None:
     """Semaphores are in /dev/shm and nowhere else, so a classic topic does too."""
-    assert "lie in /dev/shm" in wrong("to: plc, classic: true", more="shm: {directory: /tmp}")
+    assert "are in /dev/shm" in wrong("to: plc, classic: true", more="shm: {directory: /tmp}")
 
 
 def test_two_topics_in_one_memory_are_refused() -> None:

@@ -54,7 +54,7 @@ def test_values_become_records() -> None:
         ("to: plc, on_stale: {value: {linear: {x: fast}}}", ".value.linear.x", "'fast' (str) is no float64"),
         ("to: plc, on_stale: {value: {linear: {speed: 1}}}", ".value.linear", "no field 'speed'"),
         ("to: plc, on_stale: {value: {}, period: 1s}", ".period", "there is no period"),
-        ("to: plc, on_stale: {valeu: {}, value: {}}", ".valeu", "no key here; did you mean 'value'"),
+        ("to: plc, on_stale: {valeu: {}, value: {}}", ".valeu", "not a key here; did you mean 'value'"),
         ("to: plc, stale_after: never, on_stale: zero", "", "stale_after is never"),
         ("to: plc, on_change: true, on_stale: zero", "", "on_change holds equal messages back"),
         ("to: plc, rate_limit: 1s, on_stale: zero", "", "rate_limit leaves more time"),

@@ -281,7 +281,7 @@ def test_a_web_server_is_no_master() -> None:
         "http://robot:11311", call=lambda host, port: "", ask=lambda uri: "its answer is none"
     )
     assert (finding.code, finding.level) == ("DOC408", Level.WARNING)
-    assert "is no ROS master: its answer is none" in finding.seen
+    assert "is not a ROS master: its answer is none" in finding.seen
     (finding,) = master("robot:11311")
     assert (finding.code, finding.level) == ("DOC403", Level.ERROR)
 

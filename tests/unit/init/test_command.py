@@ -184,10 +184,10 @@ def test_without_a_choice_the_topics_are_listed(memory: tuple[str, ...], here: P
     ("arguments", "code", "words"),
     [
         (["--all"], 1, "ROS020"),
-        (["--all", "--backend", "nonsense"], 2, "'nonsense' is no backend"),
+        (["--all", "--backend", "nonsense"], 2, "'nonsense' is not a backend"),
         (["--all", "--distro", "nonsense"], 2, "is not bundled"),
         (["--all", "--listen", "soon"], 2, "should be a number with a unit"),
-        (["--topics", "/a=b"], 2, "is no type name"),
+        (["--topics", "/a=b"], 2, "is not a type name"),
         (["--bag", "missing.bag", "--all"], 1, "ROS006"),
         (["--types", "missing", "--all"], 1, "TYP008"),
         (["--bridge", "a b", "--all"], 2, "should be a letter"),

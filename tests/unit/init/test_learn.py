@@ -133,7 +133,7 @@ def test_a_known_type_with_other_fields(answer: dict[str, Any]) -> None:
     """It is not replaced: other topics use it."""
     definitions = Definitions("jazzy", environment={})
     definitions.learn("cell_msgs/msg/Side", "bool right\n", "elsewhere")
-    with pytest.raises(MessageTypeError, match="cell_msgs/msg/Side is another") as refused:
+    with pytest.raises(MessageTypeError, match="cell_msgs/msg/Side differs") as refused:
         take(definitions, answer, PART, HASH, "node /robot")
     assert refused.value.code == "TYP005"
     assert PART not in definitions.store

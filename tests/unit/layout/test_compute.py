@@ -58,7 +58,7 @@ def test_defaults_are_80_bytes_and_16_elements() -> None:
     ],
 )
 def test_capacities_have_a_range(arguments: dict[str, object]) -> None:
-    """A capacity that is no whole number or out of range is refused."""
+    """A capacity that is not a whole number or out of range is refused."""
     with pytest.raises(LayoutError) as caught:
         Limits(**arguments)  # type: ignore[arg-type]
     assert caught.value.code == "LAY001"

@@ -196,7 +196,7 @@ def test_names_are_accepted_in_both_forms() -> None:
         ("geometry_msgs/JointState", "sensor_msgs/msg/JointState"),
         ("Twist", "geometry_msgs/msg/Twist"),
         ("geometry_msgs/twist", "geometry_msgs/msg/Twist"),
-        ("what/is/this/Twist", "no type name"),
+        ("what/is/this/Twist", "not a type name"),
     ],
 )
 def test_unknown_types_get_a_hint(name: str, hint: str) -> None:

@@ -332,13 +332,13 @@ def test_conditions(text: str, holds: bool) -> None:
     [
         ("fault", "neither stale nor error"),
         ("/a.b >", "neither stale nor error"),
-        ("/a.b > x", "no number"),
+        ("/a.b > x", "neither a number"),
         ("/j.positions[0]", "it has"),
         ("/j.sec", "header.stamp.sec"),
         ("/j.position", "several elements"),
         ("/j.name[0]", "is text"),
         ("/j.name[0] > 'a'", "is text"),
-        ("/j.position[0] == 'a'", "is no text"),
+        ("/j.position[0] == 'a'", "is not text"),
     ],
 )
 def test_conditions_that_cannot_be(text: str, says: str) -> None:

@@ -24,8 +24,8 @@ MAGIC = b"\x89MCAP0\r\n"
     ("content", "says"),
     [
         (None, "no such file"),
-        (b"", "no MCAP file"),
-        (b"hello, world", "no MCAP file"),
+        (b"", "not an MCAP file"),
+        (b"hello, world", "not an MCAP file"),
         (MAGIC, "no whole record"),
         (MAGIC + b"\1" + b"\xff" * 64, "no whole record"),
     ],
@@ -52,12 +52,12 @@ def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path: Path) -> 
     for pipe in pipes:
         os.mkfifo(pipe)
     for path in (*pipes[:3], folder, Path("/dev/null")):
-        with pytest.raises(RecordingError, match="no plain file") as caught:
+        with pytest.raises(RecordingError, match="not a plain file") as caught:
             open_source(path)
         assert caught.value.code == "REC003" and "--repair" not in caught.value.remedy
         with pytest.raises(RosplcError, match="ROS006"):
             Bag(path)
-    for path, says in ((pipes[0], "no plain file"), (folder, "a folder")):
+    for path, says in ((pipes[0], "not a plain file"), (folder, "a folder")):
         with pytest.raises(RecordingError, match=says):
             repair(path, tmp_path / "b.mcap")
 

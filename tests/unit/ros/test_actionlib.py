@@ -409,6 +409,6 @@ def test_messages_that_are_too_short(server: Server, client: Client, size: int) 
 
 def test_a_text_without_end(server: Server) -> None:
     """It is not remembered."""
-    with pytest.raises(BackendError, match="1024 are the most"):
+    with pytest.raises(BackendError, match="the limit is 1024"):
         server._on_send(bytes(16) + goal_id(b"x" * 1025) + GOAL)
     assert not server.goals

@@ -69,7 +69,7 @@ def test_what_concerns_the_client_library_is_kept() -> None:
         (["-r", "__node:=a/b"], "node name"),
         (["-r", "__ns:=a"], "starts with /"),
         (["-r", "__nod:=a"], "special names"),
-        (["-r", "1:a:=b"], "no node's name"),
+        (["-r", "1:a:=b"], "not a node's name"),
         (["-p", "x"], "form from:=to"),
         (["-p", "a b:=1"], "a parameter is of the form"),
         (["--log-level", "loud"], "the levels are debug"),

@@ -16,7 +16,7 @@ STORE = TypeStore.bundled("jazzy")
 
 
 def test_unknown_backend_is_refused() -> None:
-    """A name that is no backend is refused, with those that are."""
+    """A name that is not a backend is refused, with those that are."""
     with pytest.raises(
         BackendError, match=r"no backend 'ddz'; there are: auto, dds, rclpy, zenoh, rospy, memory.*ROS001"
     ):

@@ -235,7 +235,7 @@ def test_context_that_somebody_shuts_down_is_noticed(
     node._node.context.try_shutdown()
     wait_for(lambda: publisher.status().reason == "the ROS context was shut down")
     assert publisher.status().code == "ROS009"
-    assert "the ROS context was shut down by somebody else" in caplog.text
+    assert "the ROS context was shut down by other code" in caplog.text
     node.close()
 
 

@@ -83,7 +83,7 @@ def test_address_that_cannot_be_listened_at_is_refused(monkeypatch: pytest.Monke
 
     environment = nowhere()
     monkeypatch.setattr("socket.create_server", refuse)
-    with pytest.raises(RosplcError, match=r"cannot listen at 127\.0\.0\.1.*ROS010"):
+    with pytest.raises(RosplcError, match=r"cannot listen on 127\.0\.0\.1.*ROS010"):
         open_backend("rospy", NOETIC, "cell", environment=environment)
 
 

@@ -80,7 +80,7 @@ def find_translator() -> Translator:
     if not (root / "tests" / "st" / "pyproject.toml").is_file():
         raise SetupError(
             "SYS001",
-            "the translator for Structured Text is missing; it is no part of the installed package",
+            "the translator for Structured Text is missing; it is not part of the installed package",
             where=str(root),
             remedy="Take a checkout of rosplc's sources, `make setup` there, and run "
             "`.venv/bin/rosplc demo --plc st`.",
@@ -179,7 +179,7 @@ class StructuredText:
         try:
             self._machine.scan(program)
         except AssertionError as error:
-            raise SetupError("SYS002", f"the Structured Text went wrong: {error}") from error
+            raise SetupError("SYS002", f"the Structured Text failed: {error}") from error
 
     def stop(self) -> None:
         """End the program as a PLC's stop does; its claims are given back."""

@@ -220,7 +220,7 @@ def enter(number: int, config: str) -> None:
                 text = "domain %d was opened by other code in this process; its configuration stays"
                 _logger.warning(text, number)
                 return
-            remedy = "Check CYCLONEDDS_URI and the network interfaces; the library's own words are on stderr."
+            remedy = "Check CYCLONEDDS_URI and the network interfaces; the library's message is on stderr."
             raise native.refusal(f"cannot join domain {number}", error, remedy=remedy) from error
 
 

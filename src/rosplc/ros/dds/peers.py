@@ -296,7 +296,7 @@ def encode_announcement(types: TypeStore, participant: bytes, nodes: Iterable[No
 def decode_announcement(types: TypeStore, data: bytes) -> tuple[bytes, tuple[NodeEntities, ...]]:
     """Return the participant's 16-byte id and its nodes; ROS008 if the bytes are no such message."""
     if not is_cdr(data):
-        raise BackendError("ROS008", "it is no plain CDR")
+        raise BackendError("ROS008", "it is not plain CDR")
     found = fields.unpack(types, ANNOUNCEMENT, data)
 
     def ids(*gids: dict[str, bytes]) -> tuple[bytes, ...]:

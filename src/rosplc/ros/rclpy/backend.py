@@ -139,7 +139,7 @@ class OwnNode:
             self._clock.sleep(100_000_000)
         if self.context.ok() or self._stopping:
             return True
-        _logger.error("the ROS context was shut down by somebody else; nothing is carried any more")
+        _logger.error("the ROS context was shut down by other code; nothing is carried any more")
         self._on_lost()
         return False
 

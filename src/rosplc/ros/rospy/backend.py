@@ -188,7 +188,7 @@ class RospyBackend(BaseNode):
         try:
             self._servers = Servers(address, self, self.clock)
         except OSError as error:
-            what = f"cannot listen at {address.bind or 'any address'}: {error}"
+            what = f"cannot listen on {address.bind or 'any address'}: {error}"
             raise BackendError("ROS010", what, where="ROS_IP") from error
         self.inbound, self.outbound = Connections("rosplc-receive"), Connections("rosplc-send")
         self.uri = self._servers.uri  # the URI of its XML-RPC interface

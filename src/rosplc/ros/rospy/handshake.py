@@ -73,7 +73,7 @@ def read_header(sock: socket.socket, timeout_s: float, clock: Clock = SYSTEM) ->
     deadline_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
     length = int.from_bytes(_exactly(sock, 4, deadline_ns, clock), "little")
     if length > MOST_HEADER:
-        raise HandshakeError(f"its connection header announces {length} bytes, {MOST_HEADER} are the most")
+        raise HandshakeError(f"its connection header announces {length} bytes; the limit is {MOST_HEADER}")
     body = _exactly(sock, length, deadline_ns, clock)
     fields, at = {}, 0
     while at < length:

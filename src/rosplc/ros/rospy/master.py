@@ -25,7 +25,7 @@ class Address:
 
     master: str  # the master's URI
     host: str  # the host name or address that other nodes are told
-    bind: str  # the address to listen at; everything but a loopback ``host`` listens everywhere
+    bind: str  # the address to listen on; everything but a loopback ``host`` listens everywhere
 
 
 def place_of(uri: object, scheme: str = "http") -> tuple[str, int] | None:
@@ -105,7 +105,7 @@ class _Transport(xmlrpc.client.Transport):
     def parse_response(self, response: Any) -> Any:
         """Read an answer; ValueError or OSError for one that is none, too large or too slow."""
         if response.getheader("Content-Encoding", "identity") != "identity":
-            raise ValueError("it is compressed, which nobody asked for")
+            raise ValueError("it is compressed, which was not requested")
         deadline_ns = self._clock.monotonic_ns() + round(_LONGEST * self._timeout_s * 1e9)
         parser, target = self.getparser()
         size = 0
@@ -137,7 +137,7 @@ def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise UnreachableError(why) from error
     except (xmlrpc.client.Error, ExpatError, ValueError, TypeError) as error:
-        raise UnreachableError(f"its answer is none of ROS: {error}") from error
+        raise UnreachableError(f"its answer is not a ROS answer: {error}") from error
     if code != 1:
         raise RefusedError(str(text))
     return value
@@ -174,7 +174,7 @@ class Master:
         """Return host and port of a service's server. Raises RefusedError: There is none."""
         uri = self.call("lookupService", service)
         if (place := place_of(uri, "rosrpc")) is None:
-            raise UnreachableError(f"its answer is none of ROS: {str(uri)[:200]}")
+            raise UnreachableError(f"its answer is not a ROS answer: {str(uri)[:200]}")
         return place
 
     def node_uri(self, node: str) -> str:
@@ -201,7 +201,7 @@ class Master:
             else:
                 types = {str(topic): str(kind) for topic, kind in self.call("getTopicTypes")}
         except (TypeError, ValueError) as error:
-            raise UnreachableError(f"its answer is none of ROS: {error}") from error
+            raise UnreachableError(f"its answer is not a ROS answer: {error}") from error
         return SystemState(publishers, subscribers, services, nodes, types)
 
     def close(self) -> None:

@@ -83,7 +83,7 @@ class _Caller:
         sock.settimeout(_STUCK_S)
         size = int.from_bytes(start + _read(sock, 4 - len(start)), "little") if start else 0
         if size > LARGEST:
-            self._server.reject(f"a caller announces a request of {size} bytes, {LARGEST} are the most")
+            self._server.reject(f"a caller announces a request of {size} bytes; the limit is {LARGEST}")
         if not start or size > LARGEST:
             return False
         payload = _read(sock, size)
@@ -315,7 +315,7 @@ class RospyClient(_Service, BaseClient):
                 link.sock = sock
                 if link.stopped:
                     sock.close()
-                    return Reply(text="nobody waits for it any more")
+                    return Reply(text="no caller waits for it any more")
         except Exception as error:  # whatever it is: nothing was sent
             self._look_again()
             return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")
@@ -377,7 +377,7 @@ class RospyClient(_Service, BaseClient):
 def _read(sock: socket.socket, size: int) -> bytes:
     """Read so many bytes, as they come. Raises HandshakeError: They are too many, or it ended before."""
     if size > LARGEST:
-        raise HandshakeError(f"it announces {size} bytes, {LARGEST} are the most")
+        raise HandshakeError(f"it announces {size} bytes; the limit is {LARGEST}")
     data = bytearray()
     while len(data) < size:
         part = sock.recv(min(1 << 20, size - len(data)))

@@ -43,7 +43,7 @@ def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
         host, port = answer[1:]
         if isinstance(host, str) and isinstance(port, int) and 0 < port < 65536:
             return host, port
-    raise UnreachableError(f"its answer is none of ROS: {str(answer)[:200]}")
+    raise UnreachableError(f"its answer is not a ROS answer: {str(answer)[:200]}")
 
 
 def greet(

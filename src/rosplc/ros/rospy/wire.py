@@ -54,7 +54,7 @@ def definition_on_wire(
     deadline_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
     try:
         while True:
-            trouble = f"nobody publishes {full}"
+            trouble = f"no node publishes {full}"
             for node in sorted(master.state().publishers.get(full, ())):
                 uri = master.node_uri(node)
                 if not is_node_uri(uri):
@@ -80,7 +80,7 @@ def _checked(topic: str, node: str, header: Mapping[str, str]) -> WireDefinition
     missing = [name for name in ("type", "md5sum", "message_definition") if not header.get(name)]
     if missing:
         why = header.get("error") or f"its connection header has no {missing[0]}"
-        raise BackendError("ROS017", f"node {node} does not tell the definition of {topic}: {why[:300]}")
+        raise BackendError("ROS017", f"node {node} does not send the definition of {topic}: {why[:300]}")
     text = header["message_definition"]
     store = TypeStore.bundled("noetic").with_definition(header["type"], text)
     name = store[header["type"]].name
@@ -89,7 +89,7 @@ def _checked(topic: str, node: str, header: Mapping[str, str]) -> WireDefinition
         raise BackendError(
             "ROS017",
             f"node {node} gives {name} the md5 {header['md5sum'][:64]}, but its definition has {md5}",
-            remedy="The node's messages were built from other files than it tells; build it again.",
+            remedy="The node's messages were built from other files than it sends; build it again.",
         )
     return WireDefinition(topic, node, name, md5, text, header.get("latching") == "1", store)
 

@@ -77,7 +77,7 @@ def session_config(options: Mapping[str, object], environment: Mapping[str, str]
     config = _base(options, environment)
     if (mode := options.get("mode")) is not None:
         if mode not in _MODES:
-            raise _bad("mode", f"{mode!r} is no mode; it is {' or '.join(_MODES)}")
+            raise _bad("mode", f"{mode!r} is not a mode; it is {' or '.join(_MODES)}")
         _insert(config, "mode", mode)
     for key in ("connect", "listen"):
         if (value := options.get(key)) is not None:
@@ -123,7 +123,7 @@ def _base(options: Mapping[str, object], environment: Mapping[str, str]) -> Any:
             _insert(config, key, value)
         return config
     if not isinstance(path, str | Path):
-        raise BackendError(code, f"{path!r} is no path of a file", where=where)
+        raise BackendError(code, f"{path!r} is not a file's path", where=where)
     try:
         # Read here first: the library's words for a missing file do not name it, and it would read a device
         # without end.
@@ -136,7 +136,7 @@ def _base(options: Mapping[str, object], environment: Mapping[str, str]) -> Any:
         what = getattr(error, "strerror", None) or str(error)
         raise BackendError(code, f"{str(path)[:300]!r} cannot be read: {what}", where=where) from error
     except zenoh.ZError as error:
-        what = f"{path} is no configuration of Zenoh: {words(error)}"
+        what = f"{path} is not a Zenoh configuration: {words(error)}"
         raise BackendError(code, what, where=where) from error
 
 
@@ -144,7 +144,7 @@ def _endpoints(key: str, value: object) -> list[str]:
     if isinstance(value, str):
         value = [value]
     if not isinstance(value, list | tuple) or not all(isinstance(one, str) for one in value):
-        raise _bad(key, f"{value!r} is no list of endpoints such as tcp/192.168.1.10:7447")
+        raise _bad(key, f"{value!r} is not a list of endpoints such as tcp/192.168.1.10:7447")
     return list(value)
 
 

@@ -77,7 +77,7 @@ def decode_qos(text: str) -> Qos:
         raise ValueError("the QoS has kinds that ROS does not know")
     numbers = [depth, *(number for part in parts[3:6] for number in part.split(","))]
     if not all(number == "" or (number.isascii() and number.isdigit()) for number in numbers):
-        raise ValueError("the QoS has something else than numbers")
+        raise ValueError("the QoS has parts that are not numbers")
     reliability: Reliability = "best_effort" if parts[0] == _BEST_EFFORT else "reliable"
     durability: Durability = "transient_local" if parts[1] == _TRANSIENT_LOCAL else "volatile"
     return Qos(reliability, durability, max(1, min(int(depth[:20] or _DEPTH), _LONGEST)))
@@ -170,9 +170,9 @@ def parse_token(token: str) -> Entity:
         raise ValueError(f"it has {len(parts)} parts")
     domain, session, node_id, entity_id, kind, _enclave, namespace, node = parts[1:_NODE_PARTS]
     if not domain.isascii() or not domain.isdigit() or len(domain) > 10:
-        raise ValueError("its domain is no number")
+        raise ValueError("its domain is not a number")
     if not all(map(_ID.match, (session, node_id, entity_id))):
-        raise ValueError("one of its ids is none")
+        raise ValueError("one of its ids is not valid")
     details: tuple[Any, ...] = ()
     try:
         # Written by releases that leave the root namespace without its slash.
@@ -186,7 +186,7 @@ def parse_token(token: str) -> Entity:
             topic, type_name, type_hash, qos = parts[_NODE_PARTS:_ENDPOINT_PARTS]
             names.validate_topic(topic)
             if not _TYPE.match(type_name) or not _HASH.match(type_hash):
-                raise ValueError("its type or type hash is none")
+                raise ValueError("its type or type hash is not valid")
             details = (topic, names.ros_type_name(type_name), type_hash, decode_qos(qos))
     except BackendError as error:
         raise ValueError(error.what) from error
