@@ -4,6 +4,7 @@
   site, any other file is shown as a page of its own, and a folder as its README or a list of its files.
   The site is complete in itself, and says what this version of the sources says.
 * A drawing that has a narrow one beside it, ``NAME-narrow.svg``, is that on a telephone.
+* A block that the page's reader writes to a file has the file's name above it.
 * The navigation is what each folder's ``README.md`` lists. A page is listed once, by hand, where its readers
   look for it, and there is no second list to forget.
 """
@@ -29,6 +30,7 @@ SECTIONS = ("tutorial", "howto", "reference", "explanation")
 PROJECT = {name: f"project/{name.lower()}" for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")}
 LANGUAGES = {".py": "python", ".st": "iecst", ".yaml": "yaml", ".c": "c", ".h": "c", ".json": "json"}
 ITEM = re.compile(r"(?:[*+-]|\d+\.) +(?=\S)")
+FILE = re.compile(r"^( *<!-- file: (\S+) -->\n(?: *<!--.*-->\n)* *```\w+)$", re.MULTILINE)
 _sources: dict[str, str] = {}  # page of the site → path in the repository
 
 
@@ -174,6 +176,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             return link
         return posixpath.relpath(place(resolve(source, name)), folder or ".") + hash_ + anchor
 
+    markdown = FILE.sub(r'\1 title="\2"', markdown)
     # Markdown inside of HTML is Markdown, as on GitHub.
     return indented(rewrite(markdown, led)).replace("<details>", '<details markdown="1">')
 
