@@ -104,14 +104,18 @@ WRITER_LINE: Final = _offsets(
     "writer_error reserved*6",
 )
 READER_LINE: Final = _offsets(
-    0, "claim beat beat_ms taken layout_lo layout_hi lost retries generation error sinks pid task*4"
+    0,
+    "claim beat beat_ms taken layout_lo layout_hi lost retries generation error sinks pid task*4",
 )
 SLOT_HEADER: Final = _offsets(
     0,
     "sequence length flags status stamp_lo stamp_hi stamp_clock checksum correlation_lo "
     "correlation_hi client*4 reason reserved",
 )
-GOAL_NOTE: Final = _offsets(0, "number size crc reserved uuid*4")
+GOAL_NOTE: Final = _offsets(
+    0,
+    "number size crc reserved uuid*4",
+)
 
 
 class Direction(enum.IntEnum):
