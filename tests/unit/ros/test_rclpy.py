@@ -379,6 +379,23 @@ def test_events_are_seen_between_messages(machine: Machine, caplog: pytest.LogCa
     wait_for(noticed)
 
 
+def test_task_that_comes_during_a_look_is_done(machine: Machine) -> None:
+    """What is given to the executor after it has looked for tasks, and before it waits, is not forgotten."""
+    executors = importlib.import_module("rclpy.executors")
+    node, done, looks = machine.node("node"), threading.Event(), []
+    looked = executors.Executor._ready
+
+    def look(self: Any) -> Any:
+        if (work := looked(self)) is None and not looks:
+            looks.append(1)
+            self.create_task(done.set)
+        return work
+
+    executors.Executor._ready = look
+    node._node.executor.wake()
+    wait_for(done.is_set)
+
+
 def test_refusing_middleware_is_an_error_of_the_write(machine: Machine) -> None:
     """If publishing fails the writer is told, and later messages go through."""
     graph = importlib.import_module("rclpy._graph")

@@ -106,6 +106,8 @@ class Waiting:
         """Wait, and empty the subscriptions that are ready; return whether anything else is."""
         if self._set is None:
             self._set = self._gather()
+        if self._executor._tasks:  # come while the executor looked, which has taken their guard's trigger
+            return True
         waits, wide = self._set, time.monotonic_ns() >= self._events_at
         waits.clear_entities()
         for add, handle in self._adds:
