@@ -84,13 +84,9 @@ def command(
         host = "localhost" if address in ("0.0.0.0", "::", "127.0.0.1", "::1") else address
         url = f"http://[{host}]:{chosen}/" if ":" in host else f"http://{host}:{chosen}/"
         if as_json:
-            document = {
-                "url": url,
-                "token": "" if token_file else settings.token,
-                "allow_write": allow_write,
-                "token_to_view": settings.token_to_view,
-            }
-            print_json(document, one_line=True)
+            token = "" if token_file else settings.token
+            facts = {"url": url, "token": token, "allow_write": allow_write}
+            print_json(facts | {"token_to_view": settings.token_to_view}, one_line=True)
         else:
             _introduce(settings, url, from_file=token_file)
         sys.stdout.flush()
