@@ -22,6 +22,7 @@ def test_an_image_is_copied_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     if (compiler := shutil.which("gcc")) is None:
         pytest.skip("Debian package gcc is missing")
     from benchmarks import bench_image
+    from benchmarks.bench_dds import OverDds
 
     counter = tmp_path / "copies.so"
     options = ["-O2", "-shared", "-fPIC", "-fno-builtin", "-Wall", "-Wextra"]
@@ -30,7 +31,7 @@ def test_an_image_is_copied_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     variables = {"LD_PRELOAD": counter, "COPIES_FROM": SIZE, "COPIES_IN": found}
     for name, value in {**variables, "CYCLONEDDS_URI": bench_image.TUNED}.items():
         monkeypatch.setenv(name, str(value))
-    _, lost = bench_image.carried("bridge", Path(), way, SIZE, (10, IMAGES / 10))
+    _, lost = bench_image.carried("bridge", OverDds(), way, SIZE, (10, IMAGES / 10))
     monkeypatch.delenv("LD_PRELOAD")
     assert lost == 0
     (bridge,) = (text for each in found.iterdir() if " rosplc run " in (text := each.read_text()))

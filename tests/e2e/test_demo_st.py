@@ -180,7 +180,7 @@ def test_without_a_checkout_it_says_so(tmp_path):
     program = f"import sys; sys.path.insert(0, {str(site)!r}); {START}"
     status, words = refused("st", program=("-c", program), folder=tmp_path)
     assert status == 1
-    assert "no part of the installed package" in words and "checkout" in words and "SYS001" in words
+    assert "not part of the installed package" in words and "checkout" in words and "SYS001" in words
 
 
 def test_another_language_is_refused():
