@@ -100,7 +100,9 @@ def _path(text: str) -> Path:
 @cache
 def _quicken() -> None:
     """Let lark's parser see at once that an object equals itself: a third of its time."""
-    # The lark beside blark: one that an environment brings for ROS 2 is older, and parses SUPER^ as a name.
+    # The lark beside blark: the one that comes with ROS 2 is older, and parses SUPER^ as a name.
+    for name in [each for each in sys.modules if each.partition(".")[0] == "lark"]:
+        del sys.modules[name]
     found = find_spec("blark")
     sys.path.insert(0, str(Path(str(found and found.origin)).parents[1]))
     from lark.grammar import Rule, Symbol
