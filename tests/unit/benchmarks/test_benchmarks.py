@@ -184,7 +184,7 @@ def test_the_benchmark_of_messages_with_fields() -> None:
 
     found = rows(bench_typed.run(1, 10))
     assert set(found) == {"geometry_msgs/msg/Twist", "sensor_msgs/msg/JointState"}
-    assert all(set(table) == {"raw", "typed"} for table in found.values())
+    assert all(set(table) == {"raw", "objects", "typed"} for table in found.values())
 
 
 def test_the_benchmark_of_large_records() -> None:
