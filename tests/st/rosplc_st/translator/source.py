@@ -97,17 +97,27 @@ def _path(text: str) -> Path:
     return _CACHE / digest[:2] / f"{digest[2:]}.pickle"
 
 
+def _take_lark_beside_blark() -> None:
+    """Import blark's own lark: the one that comes with ROS 2 is older, and parses SUPER^ as a name."""
+    found = find_spec("blark")
+    place = Path(str(found and found.origin)).parents[1]
+    if place in Path(str(getattr(sys.modules.get("lark"), "__file__", ""))).parents:
+        return
+    for name in [each for each in sys.modules if each.partition(".")[0] == "lark"]:
+        del sys.modules[name]
+    sys.path.insert(0, str(place))
+    import lark  # noqa: F401
+
+    del sys.path[0]
+
+
+_take_lark_beside_blark()  # before anything of blark is imported, or unpickled
+
+
 @cache
 def _quicken() -> None:
     """Let lark's parser see at once that an object equals itself: a third of its time."""
-    # The lark beside blark: the one that comes with ROS 2 is older, and parses SUPER^ as a name.
-    for name in [each for each in sys.modules if each.partition(".")[0] == "lark"]:
-        del sys.modules[name]
-    found = find_spec("blark")
-    sys.path.insert(0, str(Path(str(found and found.origin)).parents[1]))
     from lark.grammar import Rule, Symbol
-
-    del sys.path[0]
 
     def quick(equal: Callable[[Any, object], bool]) -> Callable[[Any, object], bool]:
         return lambda one, other: one is other or equal(one, other)
