@@ -255,6 +255,43 @@ def test_messages_go_into_the_sink_of_an_only_subscription(monkeypatch: pytest.M
         connections.close()
 
 
+@pytest.mark.parametrize("what", ["close", "subscribe"])
+def test_a_callback_may_open_and_close_while_another_thread_opens(what: str) -> None:
+    """Neither waits for the other: the callback may close or open a subscription itself."""
+    node: Any = open_backend("rospy", NOETIC, "cell", environment=nowhere())
+    called, opening = threading.Event(), threading.Event()
+    resolve = node._resolve
+
+    def callback(*_: object) -> None:
+        called.set()
+        assert opening.wait(10)
+        own.close() if what == "close" else node.subscribe("/c", STRING, Qos(), callback)
+
+    def resolved(*names: str) -> tuple[str, str]:
+        if names[0] == "/b":  # the node's lock is held
+            opening.set()
+        found: tuple[str, str] = resolve(*names)
+        return found
+
+    def open_another() -> None:
+        assert called.wait(10)
+        node.subscribe("/b", STRING, Qos(), callback)
+
+    own = node.subscribe("/a", STRING, Qos(), callback)
+    node._resolve = resolved
+    incoming = node.having("in")["/a"]
+    threads = [threading.Thread(target=incoming.deliver, args=([b""],), daemon=True)]
+    threads.append(threading.Thread(target=open_another, daemon=True))
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(10)
+    assert not any(thread.is_alive() for thread in threads), "they wait for each other"
+    there = ["/b"] if what == "close" else ["/a", "/b", "/c"]
+    assert sorted(one.topic for one in node.status()) == there
+    node.close()
+
+
 # -- services
 
 

@@ -176,7 +176,7 @@ class RospyBackend(BaseNode):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self.turn = threading.RLock()  # held while messages are handed over
+        self.turn = threading.RLock()  # held while messages are handed over; taken before the node's lock
         # bounds how many connections are being made at once
         self.connecting = threading.BoundedSemaphore(_CONNECTING)
         self.ended = ""  # why the node was told to leave the graph; empty if it was not

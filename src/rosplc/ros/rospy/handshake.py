@@ -170,7 +170,7 @@ class Topic:
     def __init__(self, node: Any, topic: str, definition: Definition) -> None:
         self.node, self.topic, self.definition = node, topic, definition
         self.handles: tuple[Any, ...] = ()
-        self._lock: Any = threading.Lock()
+        self._lock = threading.Lock()
         self._closed = False
 
     def add(self, handle: Any) -> None:

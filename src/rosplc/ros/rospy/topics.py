@@ -213,7 +213,6 @@ class Incoming(handshake.Topic):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.publishers: tuple[str, ...] = ()
-        self._lock = self.node.turn  # held while messages are handed over: one call at a time in the backend
         self.linking = threading.Lock()  # guards the connections
         self.capsule: object = None  # the sink that they put messages into
         self._links: dict[str, Link] = {}
@@ -225,7 +224,8 @@ class Incoming(handshake.Topic):
 
     def remove(self, handle: Any) -> None:
         """Serve it no longer."""
-        super().remove(handle)
+        with self.node.turn:
+            super().remove(handle)
         self.route()
 
     def route(self) -> None:
@@ -281,7 +281,7 @@ class Incoming(handshake.Topic):
     def deliver(self, batch: list[bytes]) -> None:
         """Hand messages to the subscriptions; called by one thread."""
         stamp_ns = self.node.clock.time_ns()
-        with self._lock:
+        with self.node.turn:
             for subscription in self.handles:
                 subscription.receive(batch, stamp_ns)
 
