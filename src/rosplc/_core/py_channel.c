@@ -151,19 +151,6 @@ int ch_random_claim(uint32_t *out)
     return 0;
 }
 
-int ch_add_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **type)
-{
-    *type = (PyTypeObject *)PyType_FromSpec(spec);
-    if (!*type)
-        return -1;
-    Py_INCREF((PyObject *)*type);
-    if (PyModule_AddObject(module, name, (PyObject *)*type)) {
-        Py_DECREF((PyObject *)*type);
-        return -1;
-    }
-    return 0;
-}
-
 /* ---------------------------------------------------------------- SlotInfo */
 
 static PyStructSequence_Field slot_info_fields[] = {
@@ -260,7 +247,7 @@ static PyObject *region_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     base = mmap(NULL, geometry.object_size, writable ? PROT_READ | PROT_WRITE : PROT_READ, MAP_SHARED, fd, 0);
     if (base == MAP_FAILED)
         return PyErr_SetFromErrno(PyExc_OSError);
-    self = (RegionObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    self = py_allocate(type);
     if (!self) {
         munmap(base, geometry.object_size);
         return NULL;
@@ -275,12 +262,10 @@ static PyObject *region_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
 
 static void region_dealloc(RegionObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     self->pins = 0;
     region_unmap(self);
     Py_XDECREF(self->path);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 static PyObject *region_close(RegionObject *self, PyObject *unused)
@@ -480,14 +465,9 @@ static PyMethodDef functions[] = {
 int rosplc_add_channel(PyObject *module)
 {
     slot_info_type = PyStructSequence_NewType(&slot_info_description);
-    if (!slot_info_type)
-        return -1;
-    Py_INCREF((PyObject *)slot_info_type);
-    if (PyModule_AddObject(module, "SlotInfo", (PyObject *)slot_info_type)) {
-        Py_DECREF((PyObject *)slot_info_type);
-        return -1;
-    }
-    if (ch_add_type(module, "Region", &region_spec, &ch_region_type) || ch_add_writer(module) || ch_add_reader(module))
+    if (!slot_info_type || PyModule_AddObjectRef(module, "SlotInfo", (PyObject *)slot_info_type)
+        || py_add_type(module, "Region", &region_spec, &ch_region_type) || ch_add_writer(module)
+        || ch_add_reader(module))
         return -1;
     return PyModule_AddFunctions(module, functions);
 }

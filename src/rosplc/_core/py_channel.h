@@ -8,6 +8,7 @@
 #include <rosplc/channel.h>
 #include "plan.h"
 #include "py_plan.h"
+#include "py_type.h"
 
 /* From this many bytes on a copy releases the GIL: below, the release costs more than it gives. */
 #define CH_LONG_COPY (256u * 1024u)
@@ -87,6 +88,5 @@ int ch_random_claim(uint32_t *out);
 
 int ch_add_writer(PyObject *module); /* py_writer.c */
 int ch_add_reader(PyObject *module); /* py_reader.c */
-int ch_add_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **type);
 
 #endif

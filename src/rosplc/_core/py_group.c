@@ -74,7 +74,7 @@ static PyObject *group_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
     int predicts = 0;
     if (!PyArg_ParseTupleAndKeywords(args, kwargs, "|p:Group", names, &predicts))
         return NULL;
-    self = (GroupObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    self = py_allocate(type);
     if (!self)
         return NULL;
     if (pthread_mutex_init(&self->mutex, NULL)) {
@@ -108,7 +108,6 @@ static void group_drop(GroupObject *self, Py_ssize_t index)
 
 static void group_dealloc(GroupObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     for (Py_ssize_t i = 0; i < self->count; i++)
         group_drop(self, i);
     PyMem_Free(self->entries);
@@ -117,8 +116,7 @@ static void group_dealloc(GroupObject *self)
     PyMem_Free(self->wire);
     if (self->mutex_ready)
         pthread_mutex_destroy(&self->mutex);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 /* Puts an entry into the table, whose references pass to it; its index, or NULL. */
@@ -547,6 +545,5 @@ static PyType_Spec spec = {"rosplc._core._native.Group", sizeof(GroupObject), 0,
 
 int rosplc_add_group(PyObject *module)
 {
-    PyTypeObject *type;
-    return ch_add_type(module, "Group", &spec, &type);
+    return py_add_type(module, "Group", &spec, NULL);
 }

@@ -1,5 +1,6 @@
 /* _native.Plan and _native.Fault: the plan executor for Python. */
 #include "py_plan.h"
+#include "py_type.h"
 
 enum { GIL_RELEASE_BYTES = 256 * 1024 }; /* below, giving the GIL away costs more than it frees */
 
@@ -182,8 +183,7 @@ static PyObject *plan_new(PyTypeObject *type, PyObject *args, PyObject *keywords
         if (reason) {
             PyErr_SetString(PyExc_ValueError, reason);
         } else {
-            allocfunc alloc = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
-            self = (PlanObject *)alloc(type, 0);
+            self = py_allocate(type);
             if (self) {
                 self->plan = plan;
                 self->ops = ops;
@@ -198,11 +198,8 @@ static PyObject *plan_new(PyTypeObject *type, PyObject *args, PyObject *keywords
 
 static void plan_dealloc(PyObject *self)
 {
-    PyTypeObject *type = Py_TYPE(self);
-    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     PyMem_Free(((PlanObject *)self)->ops);
-    release(self);
-    Py_DECREF(type);
+    py_release(self);
 }
 
 static PyObject *plan_record_size(PyObject *self, void *closure)
@@ -252,23 +249,9 @@ static PyType_Spec plan_spec = {
 
 int rosplc_add_plan(PyObject *module)
 {
-    PyObject *type = PyType_FromSpec(&plan_spec);
-    if (!type)
-        return -1;
-    plan_type = (PyTypeObject *)type;
     fault_type = PyErr_NewExceptionWithDoc("rosplc._core._native.Fault",
                                            "A message or record was refused: (code, op, size, limit).", NULL, NULL);
-    if (!fault_type)
+    if (!fault_type || py_add_type(module, "Plan", &plan_spec, &plan_type))
         return -1;
-    Py_INCREF(type);
-    if (PyModule_AddObject(module, "Plan", type) < 0) {
-        Py_DECREF(type);
-        return -1;
-    }
-    Py_INCREF(fault_type);
-    if (PyModule_AddObject(module, "Fault", fault_type) < 0) {
-        Py_DECREF(fault_type);
-        return -1;
-    }
-    return 0;
+    return PyModule_AddObjectRef(module, "Fault", fault_type);
 }

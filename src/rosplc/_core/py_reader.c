@@ -13,7 +13,7 @@ static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
         return NULL;
     if (ch_region_usable(owner))
         return NULL;
-    self = (ReaderObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    self = py_allocate(type);
     if (!self)
         return NULL;
     rosplc_reader_observe(&self->reader, &owner->region, last);
@@ -24,12 +24,10 @@ static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
 
 static void reader_dealloc(ReaderObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     Py_XDECREF((PyObject *)self->owner);
     PyMem_Free(self->shadow);
     PyMem_Free(self->wire);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 static PyObject *reader_claim(ReaderObject *self, PyObject *args, PyObject *kwargs)
@@ -423,5 +421,5 @@ static PyType_Spec spec = {"rosplc._core._native.Reader", sizeof(ReaderObject), 
 
 int ch_add_reader(PyObject *module)
 {
-    return ch_add_type(module, "Reader", &spec, &ch_reader_type);
+    return py_add_type(module, "Reader", &spec, &ch_reader_type);
 }

@@ -107,11 +107,9 @@ static PyObject *get_dict(const ShapeObject *shape, const uint8_t *data, const r
 
 static void view_dealloc(ViewObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     Py_DECREF(self->owner);
     Py_DECREF((PyObject *)self->shape);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 static PyObject *view_getattr(PyObject *self, PyObject *name)
@@ -177,12 +175,10 @@ static PyType_Spec view_spec = {"rosplc._core._native.View", sizeof(ViewObject),
 
 static void field_dealloc(FieldObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     Py_XDECREF(self->name);
     Py_XDECREF(self->other);
     Py_XDECREF((PyObject *)self->shape);
-    PyObject_Free(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 /* Any view may come here, through the class of another struct. */
@@ -253,13 +249,11 @@ static FieldObject *field_new(PyObject *item, uint32_t size)
 
 static void shape_dealloc(ShapeObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     Py_XDECREF(self->type_name);
     Py_XDECREF(self->fields);
     Py_XDECREF(self->initial);
     Py_XDECREF((PyObject *)self->view);
-    PyObject_Free(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 /* Its initial bytes: those of the structs in it, and `defaults`. */
@@ -409,9 +403,9 @@ int rosplc_add_record(PyObject *module)
     rp_layout_error = errors ? PyObject_GetAttrString(errors, "LayoutError") : NULL;
     Py_XDECREF(abc);
     Py_XDECREF(errors);
-    return !rp_mapping_type || !rp_layout_error || ch_add_type(module, "View", &view_spec, &rp_view_type)
-                   || ch_add_type(module, "Field", &field_spec, &field_type)
-                   || ch_add_type(module, "Shape", &shape_spec, &shape_type)
+    return !rp_mapping_type || !rp_layout_error || py_add_type(module, "View", &view_spec, &rp_view_type)
+                   || py_add_type(module, "Field", &field_spec, &field_type)
+                   || py_add_type(module, "Shape", &shape_spec, &shape_type)
                ? -1
                : 0;
 }

@@ -13,7 +13,7 @@ typedef struct {
 
 static int pass(rosplc_sink *base, const uint8_t *wire, size_t size, int64_t stamp_ns)
 {
-    ChannelSinkObject *self = (ChannelSinkObject *)((char *)base - offsetof(SinkObject, sink));
+    ChannelSinkObject *self = sink_object(base);
     rosplc_writer *writer = &self->writer->writer;
     rosplc_meta meta = {.stamp_lo = (uint32_t)stamp_ns, .stamp_hi = (uint32_t)(stamp_ns >> 32), .stamp_clock = 1};
     rosplc_error error;
@@ -30,15 +30,7 @@ static int pass(rosplc_sink *base, const uint8_t *wire, size_t size, int64_t sta
 static PyObject *channel_sink_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 {
     static char *names[] = {NULL};
-    ChannelSinkObject *self;
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, ":Sink", names))
-        return NULL;
-    self = (ChannelSinkObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
-    if (self && sink_init(&self->head, pass)) {
-        Py_DECREF((PyObject *)self);
-        return NULL;
-    }
-    return (PyObject *)self;
+    return PyArg_ParseTupleAndKeywords(args, kwargs, ":Sink", names) ? sink_new(type, pass) : NULL;
 }
 
 static void let_writer_go(ChannelSinkObject *self)
@@ -55,11 +47,8 @@ static void let_writer_go(ChannelSinkObject *self)
 
 static void channel_sink_dealloc(ChannelSinkObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     let_writer_go(self);
-    sink_fini(&self->head);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
+    sink_dealloc(&self->head);
 }
 
 static PyObject *channel_sink_close(ChannelSinkObject *self, PyObject *unused)
@@ -119,19 +108,13 @@ static PyGetSetDef attributes[] = {
     {NULL, NULL, NULL, NULL, NULL},
 };
 
-static PyType_Slot slots[] = {
-    {Py_tp_doc, "Sink(): takes messages for a channel from another extension module, without the GIL."},
-    {Py_tp_new, (void *)channel_sink_new},
-    {Py_tp_dealloc, (void *)channel_sink_dealloc},
-    {Py_tp_methods, methods},
-    {Py_tp_getset, attributes},
-    {0, NULL},
-};
+static PyType_Slot slots[] =
+    SINK_SLOTS("Sink(): takes messages for a channel from another extension module, without the GIL.",
+               channel_sink_new, channel_sink_dealloc, methods, attributes);
 
 static PyType_Spec spec = {"rosplc._core._native.Sink", sizeof(ChannelSinkObject), 0, Py_TPFLAGS_DEFAULT, slots};
 
 int rosplc_add_sink(PyObject *module)
 {
-    PyTypeObject *type;
-    return ch_add_type(module, "Sink", &spec, &type);
+    return py_add_type(module, "Sink", &spec, NULL);
 }

@@ -4,6 +4,7 @@
 
 #include <string.h>
 
+#include "py_type.h"
 #include "sink.h"
 
 /* The head of every object that is a sink. */
@@ -12,21 +13,28 @@ typedef struct {
     rosplc_sink sink;
 } SinkObject;
 
-static int sink_init(SinkObject *self, int (*pass)(rosplc_sink *, const uint8_t *, size_t, int64_t))
+static void *sink_new(PyTypeObject *type, int (*pass)(rosplc_sink *, const uint8_t *, size_t, int64_t))
 {
-    self->sink.pass = pass;
-    if (pthread_mutex_init(&self->sink.mutex, NULL)) {
-        self->sink.pass = NULL;
-        PyErr_NoMemory();
-        return -1;
+    SinkObject *self = py_allocate(type);
+    if (self && pthread_mutex_init(&self->sink.mutex, NULL)) {
+        py_release(self);
+        return PyErr_NoMemory();
     }
-    return 0;
+    if (self)
+        self->sink.pass = pass;
+    return self;
 }
 
-static void sink_fini(SinkObject *self)
+static void sink_dealloc(SinkObject *self)
 {
-    if (self->sink.pass)
-        pthread_mutex_destroy(&self->sink.mutex);
+    pthread_mutex_destroy(&self->sink.mutex);
+    py_release(self);
+}
+
+/* The object that a sink is in. */
+static void *sink_object(rosplc_sink *sink)
+{
+    return (char *)sink - offsetof(SinkObject, sink);
 }
 
 static void sink_open(SinkObject *self, int64_t limit_ns)
@@ -42,6 +50,13 @@ static void sink_close(SinkObject *self)
     pthread_mutex_lock(&self->sink.mutex);
     self->sink.open = 0;
     pthread_mutex_unlock(&self->sink.mutex);
+}
+
+static inline PyObject *sink_stop(SinkObject *self, PyObject *unused)
+{
+    (void)unused;
+    sink_close(self);
+    Py_RETURN_NONE;
 }
 
 static rosplc_sink sink_look(SinkObject *self)
@@ -79,9 +94,16 @@ static PyObject *sink_last_ns(SinkObject *self, void *unused)
     return PyLong_FromLongLong(sink_look(self).last_ns);
 }
 
+/* What is in the tables of the types. */
+#define SINK_CLOSE {"close", (PyCFunction)sink_stop, METH_NOARGS, "Pass nothing on any more."}
 #define SINK_ATTRIBUTES \
     {"capsule", (getter)sink_capsule, NULL, "What another extension module puts messages into.", NULL}, \
     {"messages", (getter)sink_messages, NULL, "Messages passed on.", NULL}, \
     {"last_ns", (getter)sink_last_ns, NULL, "Monotonic time of the last one, or of open().", NULL}
+#define SINK_SLOTS(doc, make, end, methods, attributes) \
+    { \
+        {Py_tp_doc, doc}, {Py_tp_new, (void *)make}, {Py_tp_dealloc, (void *)end}, {Py_tp_methods, (void *)methods}, \
+            {Py_tp_getset, (void *)attributes}, {0, NULL}, \
+    }
 
 #endif

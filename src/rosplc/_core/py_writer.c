@@ -21,7 +21,7 @@ static PyObject *writer_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
         if (ch_random_claim(&epoch))
             return NULL;
     } while (epoch == expected);
-    self = (WriterObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    self = py_allocate(type);
     if (!self)
         return NULL;
     if (rosplc_writer_claim(&self->writer, &owner->region, expected, epoch, beat_ms, (uint32_t)getpid())) {
@@ -35,10 +35,8 @@ static PyObject *writer_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
 
 static void writer_dealloc(WriterObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     Py_XDECREF((PyObject *)self->owner);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 static int writer_usable(WriterObject *self)
@@ -331,5 +329,5 @@ static PyType_Spec spec = {"rosplc._core._native.Writer", sizeof(WriterObject), 
 
 int ch_add_writer(PyObject *module)
 {
-    return ch_add_type(module, "Writer", &spec, &ch_writer_type);
+    return py_add_type(module, "Writer", &spec, &ch_writer_type);
 }

@@ -115,7 +115,7 @@ static PyObject *inlet_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
         return NULL;
     if (!dds.unref)
         return PyErr_Format(PyExc_RuntimeError, "load() comes first");
-    self = (InletObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    self = py_allocate(type);
     if (!self)
         return NULL;
     if (pthread_mutex_init(&self->mutex, NULL)) {
@@ -128,15 +128,13 @@ static PyObject *inlet_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 
 static void inlet_dealloc(InletObject *self)
 {
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
     for (size_t key = 0; key < self->room; key++)
         Py_XDECREF(self->entries[key].capsule);
     PyMem_Free(self->entries);
     PyMem_Free(self->keys);
     if (self->ready)
         pthread_mutex_destroy(&self->mutex);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
+    py_release(self);
 }
 
 /* Puts an entry, whose reference passes, into the table; lets go of the one before. */
@@ -336,7 +334,7 @@ typedef struct {
 
 static int outlet_pass(rosplc_sink *base, const uint8_t *wire, size_t size, int64_t stamp_ns)
 {
-    OutletObject *self = (OutletObject *)((char *)base - offsetof(SinkObject, sink));
+    OutletObject *self = sink_object(base);
     wheel_sample sample = {(void *)(uintptr_t)wire, (size + 3) & ~(size_t)3}; /* as ROS 2 does: whole words */
     return sample.size > self->most || dds.write_ts(self->writer, &sample, stamp_ns) < 0;
 }
@@ -350,22 +348,10 @@ static PyObject *outlet_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
         return NULL;
     if (!dds.unref)
         return PyErr_Format(PyExc_RuntimeError, "load() comes first");
-    self = (OutletObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
-    if (self && sink_init(&self->head, outlet_pass)) {
-        Py_DECREF((PyObject *)self);
-        return NULL;
-    }
+    self = sink_new(type, outlet_pass);
     if (self)
         self->writer = writer;
     return (PyObject *)self;
-}
-
-static void outlet_dealloc(OutletObject *self)
-{
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
-    sink_fini(&self->head);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
 }
 
 static PyObject *outlet_open(OutletObject *self, PyObject *args)
@@ -377,13 +363,6 @@ static PyObject *outlet_open(OutletObject *self, PyObject *args)
     sink_close(&self->head);
     self->most = most < 0 ? 0 : (size_t)most;
     sink_open(&self->head, limit_ns);
-    Py_RETURN_NONE;
-}
-
-static PyObject *outlet_close(OutletObject *self, PyObject *unused)
-{
-    (void)unused;
-    sink_close(&self->head);
     Py_RETURN_NONE;
 }
 
@@ -402,38 +381,23 @@ static PyObject *outlet_write(OutletObject *self, PyObject *args)
 static PyMethodDef outlet_methods[] = {
     {"open", (PyCFunction)outlet_open, METH_VARARGS,
      "open(most, limit_ns): send messages of up to `most` bytes, until one is not sent or comes after a longer silence."},
-    {"close", (PyCFunction)outlet_close, METH_NOARGS, "Send nothing any more."},
+    SINK_CLOSE,
     {"write", (PyCFunction)outlet_write, METH_VARARGS, "write(payload, stamp_ns) -> whether it was sent."},
     {NULL, NULL, 0, NULL},
 };
 
 static PyGetSetDef outlet_attributes[] = {SINK_ATTRIBUTES, {NULL, NULL, NULL, NULL, NULL}};
 
-static PyType_Slot outlet_slots[] = {
-    {Py_tp_doc, "Outlet(writer): a sink that sends messages with one of the wheel's writers."},
-    {Py_tp_new, (void *)outlet_new},
-    {Py_tp_dealloc, (void *)outlet_dealloc},
-    {Py_tp_methods, outlet_methods},
-    {Py_tp_getset, outlet_attributes},
-    {0, NULL},
-};
+static PyType_Slot outlet_slots[] =
+    SINK_SLOTS("Outlet(writer): a sink that sends messages with one of the wheel's writers.", outlet_new, sink_dealloc,
+               outlet_methods, outlet_attributes);
 
 static PyType_Spec outlet_spec = {"rosplc.ros.dds._batch.Outlet", sizeof(OutletObject), 0, Py_TPFLAGS_DEFAULT,
                                   outlet_slots};
 
-static int add_type(PyObject *module, const char *name, PyType_Spec *spec)
-{
-    PyObject *type = PyType_FromSpec(spec);
-    if (!type || PyModule_AddObject(module, name, type) < 0) {
-        Py_XDECREF(type);
-        return -1;
-    }
-    return 0;
-}
-
 static int exec_module(PyObject *module)
 {
-    return add_type(module, "Inlet", &inlet_spec) || add_type(module, "Outlet", &outlet_spec) ? -1 : 0;
+    return py_add_type(module, "Inlet", &inlet_spec, NULL) || py_add_type(module, "Outlet", &outlet_spec, NULL) ? -1 : 0;
 }
 
 static PyMethodDef functions[] = {

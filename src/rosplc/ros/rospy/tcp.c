@@ -77,18 +77,6 @@ struct Sender {
 
 static PyTypeObject *loop_type, *sender_type;
 
-static PyObject *allocated(PyTypeObject *type)
-{
-    return ((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
-}
-
-static void freed(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF((PyObject *)type);
-}
-
 static int watch(LoopObject *loop, int operation, int fd, uint32_t number, uint32_t events)
 {
     struct epoll_event event = {.events = events, .data.u64 = (uint64_t)number << 32 | (uint32_t)fd};
@@ -228,7 +216,7 @@ static PyObject *loop_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
     LoopObject *self;
     unsigned int most;
     if (!PyArg_ParseTupleAndKeywords(args, kwargs, "I:Loop", names, &most)
-        || !(self = (LoopObject *)allocated(type)))
+        || !(self = py_allocate(type)))
         return NULL;
     self->most = most;
     self->waker = -1;
@@ -290,7 +278,7 @@ static void loop_dealloc(LoopObject *self)
     if (self->ready)
         pthread_mutex_destroy(&self->mutex);
     loop_shut(self);
-    freed((PyObject *)self);
+    py_release(self);
 }
 
 /* Enters a connection and returns its number; 0 with an exception. */
@@ -617,7 +605,7 @@ static PyObject *sender_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     PyObject *loop;
     Sender *self;
     if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!:Sender", names, loop_type, &loop)
-        || !(self = (Sender *)allocated(type)))
+        || !(self = py_allocate(type)))
         return NULL;
     if (pthread_mutex_init(&self->mutex, NULL)) {
         Py_DECREF((PyObject *)self);
@@ -635,7 +623,7 @@ static void sender_dealloc(Sender *self)
     if (self->ready)
         pthread_mutex_destroy(&self->mutex);
     Py_XDECREF((PyObject *)self->loop);
-    freed((PyObject *)self);
+    py_release(self);
 }
 
 static PyObject *sender_add(Sender *self, PyObject *args)
@@ -735,7 +723,7 @@ typedef struct {
 
 static int outlet_pass(rosplc_sink *base, const uint8_t *wire, size_t size, int64_t stamp_ns)
 {
-    OutletObject *self = (OutletObject *)((char *)base - offsetof(SinkObject, sink));
+    OutletObject *self = sink_object(base);
     int refused;
     (void)stamp_ns; /* ROS 1 carries none */
     pthread_mutex_lock(&self->sender->mutex);
@@ -755,12 +743,8 @@ static PyObject *outlet_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     int latch;
     OutletObject *self;
     if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!p:Outlet", names, sender_type, &sender, &latch)
-        || !(self = (OutletObject *)allocated(type)))
+        || !(self = sink_new(type, outlet_pass)))
         return NULL;
-    if (sink_init(&self->head, outlet_pass)) {
-        Py_DECREF((PyObject *)self);
-        return NULL;
-    }
     Py_INCREF(sender);
     self->sender = (Sender *)sender;
     self->latch = latch;
@@ -769,9 +753,8 @@ static PyObject *outlet_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
 
 static void outlet_dealloc(OutletObject *self)
 {
-    sink_fini(&self->head);
-    Py_XDECREF((PyObject *)self->sender);
-    freed((PyObject *)self);
+    Py_DECREF((PyObject *)self->sender);
+    sink_dealloc(&self->head);
 }
 
 static PyObject *outlet_open(OutletObject *self, PyObject *args)
@@ -784,50 +767,26 @@ static PyObject *outlet_open(OutletObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
-static PyObject *outlet_close(OutletObject *self, PyObject *unused)
-{
-    (void)unused;
-    sink_close(&self->head);
-    Py_RETURN_NONE;
-}
-
 static PyMethodDef outlet_methods[] = {
     {"open", (PyCFunction)outlet_open, METH_VARARGS,
      "open(limit_ns): send messages, until a queue is full or one comes after a longer silence."},
-    {"close", (PyCFunction)outlet_close, METH_NOARGS, "Send nothing any more."},
+    SINK_CLOSE,
     {NULL, NULL, 0, NULL},
 };
 
 static PyGetSetDef outlet_attributes[] = {SINK_ATTRIBUTES, {NULL, NULL, NULL, NULL, NULL}};
 
-static PyType_Slot outlet_slots[] = {
-    {Py_tp_doc, "Outlet(sender, latch): a publisher's sink."},
-    {Py_tp_new, (void *)outlet_new},
-    {Py_tp_dealloc, (void *)outlet_dealloc},
-    {Py_tp_methods, outlet_methods},
-    {Py_tp_getset, outlet_attributes},
-    {0, NULL},
-};
+static PyType_Slot outlet_slots[] = SINK_SLOTS("Outlet(sender, latch): a publisher's sink.", outlet_new, outlet_dealloc,
+                                               outlet_methods, outlet_attributes);
 
 static PyType_Spec outlet_spec = {"rosplc.ros.rospy._tcp.Outlet", sizeof(OutletObject), 0, Py_TPFLAGS_DEFAULT,
                                   outlet_slots};
 
-static int add_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **place)
-{
-    PyObject *type = PyType_FromSpec(spec);
-    if (!type || PyModule_AddObject(module, name, type) < 0) {
-        Py_XDECREF(type);
-        return -1;
-    }
-    if (place)
-        *place = (PyTypeObject *)type;
-    return 0;
-}
-
 static int exec_module(PyObject *module)
 {
-    return add_type(module, "Loop", &loop_spec, &loop_type) || add_type(module, "Sender", &sender_spec, &sender_type)
-                   || add_type(module, "Outlet", &outlet_spec, NULL)
+    return py_add_type(module, "Loop", &loop_spec, &loop_type)
+                   || py_add_type(module, "Sender", &sender_spec, &sender_type)
+                   || py_add_type(module, "Outlet", &outlet_spec, NULL)
                ? -1
                : 0;
 }
