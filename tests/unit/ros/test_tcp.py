@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import random
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -239,6 +243,47 @@ def test_messages_pass_between_channels_and_connections(shm_namespace: Namespace
         writer.publish(records[0])
         assert len(group.take()[0]) == 1
     assert outlet.messages == 4
+
+
+_SHORT_OF_MEMORY = """
+import resource, socket, threading
+from rosplc.ros.rospy._tcp import Loop
+
+SIZE = 64 << 20
+loop, stream, found = Loop(1 << 30), SIZE.to_bytes(4, "little") + bytes(SIZE), set()
+
+def send(sock):
+    try:
+        sock.sendall(stream)
+    except OSError:
+        pass
+
+for quarters in range(0, 24):
+    ours, theirs = socket.socketpair()
+    thread = threading.Thread(target=send, args=(theirs,))
+    thread.start()
+    pages = int(open("/proc/self/statm").read().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + SIZE * quarters // 4, -1))
+    loop.receive(ours.fileno(), "owner", None)
+    while not (came := loop.wait()):
+        pass
+    resource.setrlimit(resource.RLIMIT_AS, (-1, -1))
+    found.update((owner, len(messages), why) for owner, messages, why in came)
+    came = None
+    loop.remove(ours.fileno())
+    ours.close()
+    thread.join()
+print(sorted(map(str, found)))
+"""
+
+
+def test_a_message_beyond_the_memory_ends_its_connection_alone() -> None:
+    """Wherever the memory ends, wait() says so of the connection, and goes on with the next one."""
+    done = subprocess.run(
+        [sys.executable, "-c", _SHORT_OF_MEMORY], capture_output=True, text=True, check=False, timeout=120
+    )
+    outcomes = [("owner", 0, os.strerror(errno.ENOMEM)), ("owner", 1, None)]
+    assert done.stdout == f"{sorted(map(str, outcomes))}\n", done.stderr
 
 
 def test_what_cannot_be_sent_is_refused() -> None:

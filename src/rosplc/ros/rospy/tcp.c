@@ -517,6 +517,12 @@ static PyObject *news_of(LoopObject *self, int fd)
         at += 4 + length;
     }
     free(bytes);
+    if (!messages) { /* no room for them: this connection ends, and the others go on */
+        PyErr_Clear();
+        messages = PyList_New(0);
+        ended = 1;
+        error = ENOMEM;
+    }
     if (messages && announced)
         found = Py_BuildValue("(ONN)", owner, messages,
                               PyUnicode_FromFormat("a message of %lu bytes is announced", (unsigned long)announced));
