@@ -2,6 +2,8 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include "py_type.h"
+
 int rosplc_add_channel(PyObject *module); /* py_channel.c */
 int rosplc_add_plan(PyObject *module);    /* py_plan.c */
 int rosplc_add_group(PyObject *module);   /* py_group.c */
@@ -10,8 +12,8 @@ int rosplc_add_record(PyObject *module);  /* py_record.c */
 
 static int exec_module(PyObject *module)
 {
-    if (rosplc_add_channel(module) || rosplc_add_plan(module) || rosplc_add_group(module) || rosplc_add_sink(module)
-        || rosplc_add_record(module))
+    if (py_only_interpreter() || rosplc_add_channel(module) || rosplc_add_plan(module) || rosplc_add_group(module)
+        || rosplc_add_sink(module) || rosplc_add_record(module))
         return -1;
     return 0;
 }

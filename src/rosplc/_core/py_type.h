@@ -2,6 +2,20 @@
 #ifndef ROSPLC_PY_TYPE_H
 #define ROSPLC_PY_TYPE_H
 
+/* 0 in the first interpreter of the process that asks, else -1 with ImportError: types are kept in static variables, and
+ * another interpreter's would take their place. */
+static inline int py_only_interpreter(void)
+{
+    static int64_t first = -1;
+    int64_t mine = PyInterpreterState_GetID(PyInterpreterState_Get());
+    if (first < 0)
+        first = mine;
+    if (first == mine)
+        return 0;
+    PyErr_SetString(PyExc_ImportError, "rosplc works in one interpreter of a process, and another one has loaded it");
+    return -1;
+}
+
 /* A new object, all of its fields 0; or NULL. */
 static inline void *py_allocate(PyTypeObject *type)
 {

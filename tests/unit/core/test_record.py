@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -105,3 +107,35 @@ def test_hostile_records_stay_within_their_bytes(data: st.DataObject) -> None:
     found = layout.to_dict(bytes(record))
     assert layout.pack(found) == layout.pack(layout.view(record))
     assert len(layout.excerpt(record, 1)["header"]) == 2
+
+
+_TWO_INTERPRETERS = """
+import importlib, sys
+try:
+    import _xxsubinterpreters as interpreters
+except ImportError:
+    import _interpreters as interpreters
+from rosplc.layout import compute_layout
+from rosplc.model import TypeStore
+from rosplc.ros.rospy._tcp import Loop, Sender
+
+other = interpreters.create()
+for module in ("rosplc._core._native", "rosplc.ros.rospy._tcp"):
+    program = f"import sys; sys.path[:] = {sys.path}; import importlib; importlib.import_module({module!r})"
+    try:
+        failure = interpreters.run_string(other, program)
+    except interpreters.RunFailedError as error:
+        failure = error
+    print("loaded" if failure is None else "refused")
+interpreters.destroy(other)
+layout = compute_layout(TypeStore.bundled("noetic"), "std_msgs/msg/Int32")
+print(layout.to_dict(layout.pack({"data": 7})), type(Sender(Loop(1))).__name__)
+"""
+
+
+def test_another_interpreter_of_the_process_changes_nothing() -> None:
+    """It is refused: types of an interpreter that has ended would be in place of this one's."""
+    done = subprocess.run(
+        [sys.executable, "-c", _TWO_INTERPRETERS], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.stdout == "refused\nrefused\n{'data': 7} Sender\n", done.stderr

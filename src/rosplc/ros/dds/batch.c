@@ -397,7 +397,10 @@ static PyType_Spec outlet_spec = {"rosplc.ros.dds._batch.Outlet", sizeof(OutletO
 
 static int exec_module(PyObject *module)
 {
-    return py_add_type(module, "Inlet", &inlet_spec, NULL) || py_add_type(module, "Outlet", &outlet_spec, NULL) ? -1 : 0;
+    return py_only_interpreter() || py_add_type(module, "Inlet", &inlet_spec, NULL)
+                   || py_add_type(module, "Outlet", &outlet_spec, NULL)
+               ? -1
+               : 0;
 }
 
 static PyMethodDef functions[] = {

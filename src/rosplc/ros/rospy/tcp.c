@@ -790,7 +790,7 @@ static PyType_Spec outlet_spec = {"rosplc.ros.rospy._tcp.Outlet", sizeof(OutletO
 
 static int exec_module(PyObject *module)
 {
-    return py_add_type(module, "Loop", &loop_spec, &loop_type)
+    return py_only_interpreter() || py_add_type(module, "Loop", &loop_spec, &loop_type)
                    || py_add_type(module, "Sender", &sender_spec, &sender_type)
                    || py_add_type(module, "Outlet", &outlet_spec, NULL)
                ? -1
