@@ -75,8 +75,8 @@ def narrow() -> str:
     parts = [
         box(4, 8, 352, 48) + text(180, 28, "ROS 2 graph", "bold"),
         text(180, 46, "any node, any message type, over DDS", "small"),
-        box(4, 82, 352, 196, "area") + text(180, 102, "bridge", "bold"),
-        text(180, 118, "one YAML file", "small"),
+        box(4, 76, 352, 202, "area") + text(180, 95, "bridge", "bold"),
+        text(180, 111, "one YAML file", "small"),
         text(180, 298, "/dev/shm", "bold"),
         box(4, 388, 352, 112, "area") + text(180, 407, "PLC", "bold"),
         text(180, 423, "its scan cycle", "small"),
