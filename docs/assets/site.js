@@ -20,7 +20,12 @@ document.addEventListener(
 // The search has a name.
 document.querySelector(".md-search[role=dialog]")?.setAttribute("aria-label", "Search");
 
-// On a narrow screen drawings are pushed sideways: with the keyboard, too.
+// On a narrow screen drawings and tables are pushed sideways: with the keyboard, too.
 document
-  .querySelectorAll('.md-typeset p > img[src$=".svg"]')
+  .querySelectorAll('.md-typeset p > img[src$=".svg"]:not([src*="/blocks/"])')
   .forEach((img) => img.parentElement.setAttribute("tabindex", "0"));
+window.addEventListener("load", () =>
+  document
+    .querySelectorAll(".md-typeset__scrollwrap")
+    .forEach((table) => table.setAttribute("tabindex", "0")),
+);
