@@ -70,7 +70,7 @@ def navigation(section: str) -> list[Any]:
     """Return what a folder's README.md lists: its pages in order, under its headings.
 
     Of an item or a table's row the links to pages of the same folder count, and the first one if it leads
-    to a page beside docs/.
+    to a page beside docs/. A folder's README.md brings the pages that it lists itself.
     """
     index = f"{section}/README.md"
     entries: list[Any] = [index]
@@ -86,7 +86,9 @@ def navigation(section: str) -> list[Any]:
                 beside = number == 0 and not path.startswith(DOCS)
                 if (page.startswith(f"{section}/") or beside) and page.endswith(".md") and page not in listed:
                     listed.add(page)
-                    group.append(page)
+                    folder = posixpath.dirname(page)
+                    below = page == f"{folder}/README.md" and not beside
+                    group.append({heading(path): navigation(folder)} if below else page)
     return [entry for entry in entries if not isinstance(entry, dict) or any(entry.values())]
 
 
@@ -176,6 +178,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             return link
         return posixpath.relpath(place(resolve(source, name)), folder or ".") + hash_ + anchor
 
+    # A comment above a page's title would hide it from the menu.
+    markdown = re.sub(r"\A<!--.*?-->\s*", "", markdown)
     markdown = FILE.sub(r'\1 title="\2"', markdown)
     # Markdown inside of HTML is Markdown, as on GitHub.
     return indented(rewrite(markdown, led)).replace("<details>", '<details markdown="1">')

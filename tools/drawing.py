@@ -64,10 +64,17 @@ def stroke(commands: str, kind: str = "arrow") -> str:
     return f'<path d="{commands}" class="{kind}"/>'
 
 
-def picture(title: str, top: float, width: float, bottom: float, parts: list[str]) -> str:
-    """Return a whole picture from ``top`` to ``bottom``; the title is what a screen reader says."""
+def picture(
+    title: str, top: float, width: float, bottom: float, parts: list[str], scale: float | None = None
+) -> str:
+    """Return a whole picture from ``top`` to ``bottom``; the title is what a screen reader says.
+
+    ``scale`` gives it a size; without, it is as wide as the page.
+    """
+    size = f'width="{scale * width:.0f}" height="{scale * (bottom - top):.0f}" ' if scale else ""
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 {top:g} {width:g} {bottom - top:g}" role="img" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size}'
+        f'viewBox="0 {top:g} {width:g} {bottom - top:g}" role="img" '
         'aria-labelledby="t">',
         f'<title id="t">{title}</title>',
         f"<style>\n{STYLE}</style>",

@@ -10,6 +10,7 @@ import threading
 from collections import Counter
 from collections.abc import Iterator
 from functools import partial
+from html import escape
 from html.parser import HTMLParser
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -19,13 +20,17 @@ from urllib.parse import unquote, urljoin, urlsplit
 import pytest
 from markdown_it import MarkdownIt
 
-from docs_site import indented
+from docs_site import heading, indented
+from draw_block import SCALE
 from tests.browser import WATCHDOG_MS, chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 HOST = "http://site/"
+BLOCKS = sorted(path for path in (DOCS / "reference/blocks").glob("*.md") if path.stem != "README")
 TELEPHONE = {"width": 390, "height": 844}
+PIN_TEXT = 11
+"""Pixels of the smallest text in a block's drawing, at its scale 1."""
 SERIOUS = ("serious", "critical")
 STRUCTURE = (
     "h1",
@@ -144,6 +149,15 @@ def test_every_page_stands_in_the_navigation(pages: dict[str, Page]) -> None:
     assert sorted(str(page.relative_to(ROOT)) for page in missing) == []
 
 
+def test_the_menu_has_the_heading_of_each_page(site: Path) -> None:
+    """What is above it, a comment for translators for example, does not take its place."""
+    for path in sorted(DOCS.rglob("*.md")):
+        if path != DOCS / "index.md":
+            text = (site / address(path) / "index.html").read_text(encoding="utf-8")
+            title = heading(str(path.relative_to(ROOT))).replace("`", "")
+            assert f"<title>{escape(title, quote=False)} - rosplc</title>" in text, path.relative_to(ROOT)
+
+
 def test_a_page_of_the_site_has_the_structure_that_it_has_elsewhere(pages: dict[str, Page]) -> None:
     """Lists, tables and blocks come out as any reader of CommonMark shows them."""
     markdown = MarkdownIt("commonmark", {"html": True}).enable("table")
@@ -177,7 +191,10 @@ def browser() -> Iterator[Any]:
         yield started
 
 
-@pytest.mark.parametrize(("scheme", "address"), [("light", "tutorial/into-service/"), ("dark", "")])
+@pytest.mark.parametrize(
+    ("scheme", "address"),
+    [("light", "tutorial/into-service/"), ("light", "reference/blocks/RosPlc_Pose/"), ("dark", "")],
+)
 def test_pages_can_be_read_by_everybody(browser: Any, served: str, scheme: str, address: str) -> None:
     """Contrast, names and roles are in order."""
     from axe_playwright_python.sync_playwright import Axe
@@ -208,20 +225,19 @@ def test_pictures_of_the_path_and_of_blocks_fit_a_telephone(browser: Any, served
     """They are seen whole, in a form or at a size that can be read there."""
     page = browser.new_page(viewport=TELEPHONE)
     page.set_default_timeout(WATCHDOG_MS)
-    widths = []
-    for address, picture in (
-        ("", "path"),
-        ("reference/plc-blocks/", "blocks/"),
-        ("reference/plc-calls/", "blocks/"),
-    ):
-        page.goto(served + address)
-        shown = page.locator(f'.md-typeset img[src*="{picture}"]')
-        widths += shown.evaluate_all("all => all.map(each => each.getBoundingClientRect().right)")
-        if picture == "path":
-            assert shown.evaluate("each => each.currentSrc").endswith("/path-narrow.svg")
+    page.goto(served)
+    path = page.locator('.md-typeset img[src*="path"]')
+    assert path.evaluate("each => each.currentSrc").endswith("/path-narrow.svg")
+    assert path.evaluate("each => each.getBoundingClientRect().right") <= TELEPHONE["width"]
+    for block in BLOCKS:
+        page.goto(served + address(block))
+        shown = page.locator('.md-typeset img[src*="/images/blocks/"]')
+        right, width, natural = shown.evaluate(
+            "each => [each.getBoundingClientRect().right, each.width, each.naturalWidth]"
+        )
+        assert right <= TELEPHONE["width"], block.stem
+        assert PIN_TEXT * SCALE * width / natural > 9, f"{block.stem}: the text is too small"
     page.close()
-    assert len(widths) > 10
-    assert max(widths) <= TELEPHONE["width"]
 
 
 def test_a_command_is_copied_without_its_prompt_and_output(browser: Any, served: str) -> None:
@@ -237,15 +253,19 @@ def test_a_command_is_copied_without_its_prompt_and_output(browser: Any, served:
     context.close()
 
 
-def test_the_search_finds_a_word(browser: Any, served: str) -> None:
+@pytest.mark.parametrize(
+    ("word", "place"),
+    [("seal", "explanation/shared-memory-format/"), ("RosPlc_Pose", "reference/blocks/RosPlc_Pose/")],
+)
+def test_the_search_finds_a_word(browser: Any, served: str, word: str, place: str) -> None:
     """The index is part of the site, and needs no server that computes."""
     context = browser.new_context()
     context.set_default_timeout(WATCHDOG_MS)
     page = context.new_page()
-    page.goto(f"{served}?q=seal")
+    page.goto(f"{served}?q={word}")
     page.wait_for_selector(".md-search-result__item", state="attached")
     found = [each.get_attribute("href") for each in page.locator(".md-search-result__link").all()]
-    assert any("explanation/shared-memory-format/" in link for link in found), found
+    assert any(place in link for link in found), found
     context.close()
 
 

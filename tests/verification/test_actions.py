@@ -1,4 +1,4 @@
-"""The blocks of actions, executed: every line of the tables in docs/reference/plc-calls.md."""
+"""The blocks of actions, executed: every line of the tables in docs/reference/blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The blocks of services, executed: every line of the table in docs/reference/plc-calls.md."""
+"""The blocks of services, executed: every line of the tables in docs/reference/blocks."""
 
 from __future__ import annotations
 
