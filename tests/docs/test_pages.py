@@ -37,6 +37,19 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in anchors(target), link
 
 
+@pytest.mark.parametrize(
+    "page", [*TEXTS, ROOT / "README.de.md"], ids=lambda path: str(path.relative_to(ROOT))
+)
+def test_a_file_is_named_above_its_text(page: Path) -> None:
+    """A reader who does not see the comment knows where to write it, on GitHub too."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    for block in blocks(page):
+        if name := block.directives.get("file"):
+            above = "\n".join(line for line in lines[: block.line - 1] if not line.strip().startswith("<!--"))
+            paragraph = above.strip().rpartition("\n\n")[2]
+            assert re.search(rf"[`/ ]{re.escape(Path(name).name)}`", paragraph), (block.line, name)
+
+
 def test_every_page_can_be_reached_from_the_index() -> None:
     """No page is left where a reader who starts at docs/index.md cannot find it."""
     reached: set[Path] = set()
