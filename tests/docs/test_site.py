@@ -221,14 +221,17 @@ def test_no_page_is_wider_than_a_telephone_or_fetches_from_elsewhere(browser: An
     assert [url for url in asked if not url.startswith((served, "data:", "blob:"))] == []
 
 
-def test_pictures_of_the_path_and_of_blocks_fit_a_telephone(browser: Any, served: str) -> None:
+def test_pictures_fit_a_telephone(browser: Any, served: str) -> None:
     """They are seen whole, in a form or at a size that can be read there."""
     page = browser.new_page(viewport=TELEPHONE)
     page.set_default_timeout(WATCHDOG_MS)
-    page.goto(served)
-    path = page.locator('.md-typeset img[src*="path"]')
-    assert path.evaluate("each => each.currentSrc").endswith("/path-narrow.svg")
-    assert path.evaluate("each => each.getBoundingClientRect().right") <= TELEPHONE["width"]
+    for place, number in (("", 1), ("explanation/shared-memory-format/", 5)):
+        page.goto(served + place)
+        shown = page.locator('.md-typeset img[src$=".svg"]')
+        assert shown.count() == number
+        for picture in shown.all():
+            assert picture.evaluate("each => each.currentSrc").endswith("-narrow.svg")
+            assert picture.evaluate("each => each.getBoundingClientRect().right") <= TELEPHONE["width"]
     for block in BLOCKS:
         page.goto(served + address(block))
         shown = page.locator('.md-typeset img[src*="/images/blocks/"]')
