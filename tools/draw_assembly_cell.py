@@ -1,4 +1,4 @@
-"""Write docs/images/assembly-cell.svg; with ``--web`` the page's picture of the running cell as well.
+"""Write docs/images/assembly-cell.svg and its narrow form; ``--web``: the page's picture of the cell as well.
 
     .venv/bin/python tools/draw_assembly_cell.py --web
 
@@ -15,6 +15,7 @@ from drawing import IMAGES, box, picture, stroke, text, write
 
 ROOT = Path(__file__).resolve().parent.parent
 WIDTH, BOTTOM = 960, 452
+TITLE = "A robot and a PLC share the nest of a press; goals and states go through shared memory."
 _ALL_WELL = """() => {
     const rows = [...document.querySelectorAll("tr.channel")];
     return rows.length > 2 && rows.every((row) => /^\\s*ok\\b/.test(row.innerText));
@@ -74,8 +75,63 @@ def image() -> str:
         stroke("M125 238V330") + text(166, 262, "its arm", "small"),
         stroke("M854 238V262H684V330") + text(770, 256, "wires: sensors, cylinder", "small"),
     ]
-    title = "A robot and a PLC share the nest of a press; goals and states go through shared memory."
-    return picture(title, 20, WIDTH, BOTTOM, parts)
+    return picture(TITLE, 20, WIDTH, BOTTOM, parts)
+
+
+def narrow() -> str:
+    """Return the same from top to bottom, for telephones."""
+    parts = [
+        box(4, 4, 352, 100) + text(180, 24, "robot", "bold") + text(180, 42, "a ROS 2 node", "small"),
+        box(4, 140, 352, 60, "area") + text(180, 161, "bridge: rosplc run", "bold"),
+        text(180, 182, "may be killed at any moment, and comes back", "small"),
+        text(180, 236, "/dev/shm", "bold"),
+        box(4, 432, 352, 100) + text(180, 452, "PLC", "bold") + text(180, 470, "Structured Text", "small"),
+        box(4, 568, 352, 222, "area") + text(180, 590, "what is really there, and outlives them all", "bold"),
+        text(214, 127, "DDS", "small"),
+    ]
+    for y, kind, notes in (
+        (
+            50,
+            "good",
+            (("serves the action", "feedback, then a result"), ("knows what it did", "by serial numbers")),
+        ),
+        (478, "busy", (("ActionClient", "sends each goal once"), ("looks, then acts", "remembers nothing"))),
+    ):
+        for x, (name, what) in zip((12, 184), notes, strict=True):
+            parts += [box(x, y, 164, 46, kind), text(x + 82, y + 20, name, "on")]
+            parts.append(text(x + 82, y + 37, what, "small on"))
+    for y, topic, what, to_plc, to_ros in (
+        (248, "/robot/state", "phase, placed …", True, False),
+        (300, "/robot/hand_over", "goal, feedback, result", True, True),
+        (352, "/press/state", "stage, occupied …", False, True),
+    ):
+        parts += [
+            box(50, y, 260, 44, "shm"),
+            text(180, y + 18, topic, "mono"),
+            text(180, y + 35, what, "small"),
+        ]
+        parts += [stroke(f"M26 {y}V{y + 44}")] if to_plc else []
+        parts += [stroke(f"M334 {y + 44}V{y}")] if to_ros else []
+    for x, down in ((170, True), (190, False)):
+        for above, below in ((104, 140), (200, 220), (400, 432)):
+            parts.append(stroke(f"M{x} {above}V{below - 2}" if down else f"M{x} {below}V{above + 2}"))
+    for x, y, kind, name, what in (
+        (12, 602, "box", "tray", "housings, springs"),
+        (12, 702, "full", "the nest of the press", "one handle"),
+        (236, 602, "box", "press", "drives the pin in"),
+        (236, 702, "box", "box", "finished handles"),
+    ):
+        parts += [box(x, y, 160 if x == 12 else 114, 62, kind)]
+        middle = x + (80 if x == 12 else 57)
+        parts += [text(middle, y + 27, name, "on"), text(middle, y + 46, what, "small on")]
+    parts += [
+        text(180, 780, "the robot's arm does 1 and 3, the PLC 2", "small"),
+        stroke("M287 532V566") + text(278, 556, "wires: sensors, cylinder", "small right"),
+        stroke("M90 664V700") + text(122, 688, "1 place", "small"),
+        stroke("M236 650L174 704") + text(240, 688, "2 press", "small"),
+        stroke("M172 745H234") + text(204, 738, "3 remove", "small"),
+    ]
+    return picture(TITLE, 0, 360, 796, parts)
 
 
 def shoot() -> None:
@@ -104,7 +160,7 @@ def shoot() -> None:
         cell.wait()
 
 
-DRAWINGS = {"assembly-cell.svg": image}
+DRAWINGS = {"assembly-cell.svg": image, "assembly-cell-narrow.svg": narrow}
 
 if __name__ == "__main__":
     write(DRAWINGS)

@@ -225,7 +225,7 @@ def test_pictures_fit_a_telephone(browser: Any, served: str) -> None:
     """They are seen whole, in a form or at a size that can be read there."""
     page = browser.new_page(viewport=TELEPHONE)
     page.set_default_timeout(WATCHDOG_MS)
-    for place, number in (("", 1), ("explanation/shared-memory-format/", 5)):
+    for place, number in (("", 1), ("explanation/shared-memory-format/", 5), ("howto/the-assembly-cell/", 1)):
         page.goto(served + place)
         shown = page.locator('.md-typeset img[src$=".svg"]')
         assert shown.count() == number
