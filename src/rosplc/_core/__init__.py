@@ -10,6 +10,7 @@ from rosplc._core._native import Sink as Sink
 from rosplc._core._native import SlotInfo as SlotInfo
 from rosplc._core._native import View as View
 from rosplc._core._native import Writer as Writer
+from rosplc._core._native import beat as beat
 from rosplc._core._native import check_identity as check_identity
 from rosplc._core._native import distance as distance
 from rosplc._core._native import next_sequence as next_sequence

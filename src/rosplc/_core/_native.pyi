@@ -95,6 +95,12 @@ class Region:
         """Store one control word. Raises SHM122 if mapped read-only."""
     def read(self, offset: int, size: int, /) -> bytes:
         """Copy bytes of a constant part."""
+    def held(self, path: bytes, lock: bytes, fd: int, device: int, inode: int, identity: bytes, /) -> bool:
+        """Note on a lock file that it is held; return whether names lead to it and to this object.
+
+        ``path`` and ``lock`` are the names, ``fd`` is the open lock file, ``device`` and ``inode`` are the
+        object's; it has to begin with the bytes ``identity``. Raises OSError if the lock file takes no time.
+        """
     def check(self) -> None:
         """Raise SHM111 or SHM112 if the object is no longer the one that was attached."""
     def close(self) -> None:
@@ -239,6 +245,9 @@ def distance(a: int, b: int, slot_count: int, /) -> int:
 
 def next_sequence(s: int, slot_count: int, /) -> int:
     """Return the sequence after s (section 7.1)."""
+
+def beat(users: list[Reader | Writer | tuple[Reader | Writer, ...] | None], /) -> None:
+    """Beat on all lines; closed readers and writers are left out. Raises TypeError for anything else."""
 
 # ---- py_record.c: records as Python objects
 

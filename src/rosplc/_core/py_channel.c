@@ -358,6 +358,31 @@ static PyObject *region_check(RegionObject *self, PyObject *unused)
     return error ? ch_raise_channel(error, self->path) : Py_NewRef(Py_None);
 }
 
+static int same_file(const struct stat *a, const struct stat *b)
+{
+    return a->st_dev == b->st_dev && a->st_ino == b->st_ino;
+}
+
+/* One call for what a bridge looks at each second for each object. */
+static PyObject *region_held(RegionObject *self, PyObject *args)
+{
+    const char *path, *lock, *identity;
+    unsigned long long device, inode;
+    Py_ssize_t size;
+    int fd;
+    struct stat named, locked, held;
+    if (!PyArg_ParseTuple(args, "yyiKKy#:held", &path, &lock, &fd, &device, &inode, &identity, &size)
+        || ch_region_usable(self))
+        return NULL;
+    if (futimens(fd, NULL))
+        return PyErr_SetFromErrno(PyExc_OSError);
+    /* First the size: looking at an object that was cut to nothing is deadly. */
+    return PyBool_FromLong(!lstat(path, &named) && named.st_dev == device && named.st_ino == inode
+                           && !fstat(fd, &held) && !lstat(lock, &locked) && same_file(&held, &locked)
+                           && (uint64_t)named.st_size >= self->mapped && (size_t)size <= self->mapped
+                           && !memcmp(self->region.header, identity, (size_t)size));
+}
+
 #define REGION_NUMBER(name, expression) \
     static PyObject *region_##name(RegionObject *self, void *unused) \
     { \
@@ -391,6 +416,8 @@ static PyMethodDef region_methods[] = {
     {"words", (PyCFunction)region_words, METH_VARARGS, "words(offset, count) -> tuple of control words."},
     {"store", (PyCFunction)region_store, METH_VARARGS, "store(offset, value): one 32-bit store."},
     {"read", (PyCFunction)region_read, METH_VARARGS, "read(offset, size) -> bytes; constant parts only."},
+    {"held", (PyCFunction)region_held, METH_VARARGS,
+     "held(path, lock, fd, device, inode, identity) -> whether they lead to the object and the lock that fd holds."},
     {"check", (PyCFunction)region_check, METH_NOARGS, "Raise SHM111 or SHM112 if the object is no longer LIVE."},
     {"close", (PyCFunction)region_close, METH_NOARGS, "Unmap; later calls raise ValueError."},
     {NULL, NULL, 0, NULL},

@@ -516,6 +516,52 @@ static PyObject *group_beat(GroupObject *self, PyObject *unused)
     Py_RETURN_NONE;
 }
 
+/* Beats for a Reader or a Writer that still can, or for a tuple of them. -1 with TypeError for another object. */
+static int beat_one(PyObject *user)
+{
+    if (Py_TYPE(user) == ch_writer_type) {
+        WriterObject *writer = (WriterObject *)user;
+        if (!writer->owner->closed && !writer->released)
+            rosplc_writer_beat(&writer->writer);
+    } else if (Py_TYPE(user) == ch_reader_type) {
+        if (!((ReaderObject *)user)->owner->closed)
+            rosplc_reader_beat(&((ReaderObject *)user)->reader);
+    } else if (PyTuple_Check(user)) {
+        for (Py_ssize_t i = 0; i < PyTuple_Size(user); i++)
+            if (beat_one(PyTuple_GetItem(user, i)))
+                return -1;
+    } else if (user != Py_None) {
+        PyErr_SetString(PyExc_TypeError, "readers and writers beat");
+        return -1;
+    }
+    return 0;
+}
+
+static PyObject *beat_all(PyObject *module, PyObject *users)
+{
+    (void)module;
+    if (!PyList_Check(users))
+        return PyErr_Format(PyExc_TypeError, "beat() takes a list");
+    for (Py_ssize_t i = 0; i < PyList_Size(users); i++) {
+        PyObject *user = PyList_GetItem(users, i), *later;
+        if (i + AHEAD < PyList_Size(users)) {
+            later = PyList_GetItem(users, i + AHEAD);
+            if (Py_TYPE(later) == ch_writer_type && !((WriterObject *)later)->owner->closed)
+                __builtin_prefetch(&((WriterObject *)later)->owner->region.header->writer, 1);
+            else if (Py_TYPE(later) == ch_reader_type && !((ReaderObject *)later)->owner->closed)
+                __builtin_prefetch(((ReaderObject *)later)->owner->region.header->reader, 1);
+        }
+        if (beat_one(user))
+            return NULL;
+    }
+    Py_RETURN_NONE;
+}
+
+static PyMethodDef functions[] = {
+    {"beat", beat_all, METH_O, "beat(users): let all readers and writers of a list beat; None and closed ones are left out."},
+    {NULL, NULL, 0, NULL},
+};
+
 static PyMethodDef methods[] = {
     {"add_reader", (PyCFunction)group_add_reader, METH_VARARGS,
      "add_reader(reader, plan, mode=0, limit=64) -> index; mode 0 newest, 1 in order, 2 only report;"
@@ -545,5 +591,5 @@ static PyType_Spec spec = {"rosplc._core._native.Group", sizeof(GroupObject), 0,
 
 int rosplc_add_group(PyObject *module)
 {
-    return py_add_type(module, "Group", &spec, NULL);
+    return py_add_type(module, "Group", &spec, NULL) || PyModule_AddFunctions(module, functions) ? -1 : 0;
 }

@@ -4,7 +4,7 @@ A bridge opens an :class:`OwnedChannel`; everybody else uses :func:`attach`. Thi
 bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`rosplc.codec`.
 """
 
-from rosplc._core import Group, Reader, Region, Sink, SlotInfo, Writer, distance
+from rosplc._core import Group, Reader, Region, Sink, SlotInfo, Writer, beat, distance
 from rosplc.shm.attach import Attached, Liveness, Peer, ReaderClaim, WriterClaim, attach, open_object
 from rosplc.shm.calls import Answerer, Caller, GoalNotes
 from rosplc.shm.constants import Direction
@@ -16,5 +16,5 @@ __all__ = [
     "ACTION", "SERVICE", "Answerer", "Attached", "Caller", "Description", "Direction", "GoalNotes", "Group",
     "Identity", "Liveness", "Namespace", "OwnedChannel", "Part", "Peer", "Reader", "ReaderClaim",
     "ReaderState", "Region", "Sink", "SlotInfo", "Snapshot", "Writer", "WriterClaim", "WriterState", "attach",
-    "distance", "open_object",
+    "beat", "distance", "open_object",
 ]  # fmt: skip

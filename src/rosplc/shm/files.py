@@ -205,7 +205,7 @@ class NameLock:
     def __init__(self, path: Path, rights: Rights) -> None:
         self.path = path
         self.unheld_ns = 0  # for how long nothing had held the lock before, ns; 0 where that is not known
-        self._fd = -1
+        self.fd = -1  # -1 once it is released
         while True:
             fd = _open_or_create(path)
             try:
@@ -216,7 +216,7 @@ class NameLock:
             except BaseException:
                 os.close(fd)
                 raise
-            self._fd = fd
+            self.fd = fd
             # If the file was removed between open and flock, this is a lock on nothing.
             if self.still_there():
                 break
@@ -224,7 +224,7 @@ class NameLock:
         try:
             self._refuse_foreign(rights.uid)
             self._share(rights.mode & 0o666, rights.gid)
-            status = os.fstat(self._fd)
+            status = os.fstat(self.fd)
             if status.st_size:  # an object has been there, and so has a holder
                 self.unheld_ns = max(0, time.time_ns() - status.st_mtime_ns)
         except OSError as error:
@@ -238,44 +238,44 @@ class NameLock:
     @property
     def held_an_object(self) -> bool:
         """Whether a bridge has put an object at the name before, and not retired it."""
-        return os.fstat(self._fd).st_size > 0
+        return os.fstat(self.fd).st_size > 0
 
     def remember_object(self, there: bool) -> None:
         """Note that an object of this bridge has the name, or that it was retired."""
         # A size without content takes no page of a directory that may be full.
-        os.ftruncate(self._fd, 1 if there else 0)
+        os.ftruncate(self.fd, 1 if there else 0)
 
     def _refuse_foreign(self, uid: int | None) -> None:
-        refuse_second_name(self._fd, self.path)
-        owner = os.fstat(self._fd).st_uid
+        refuse_second_name(self.fd, self.path)
+        owner = os.fstat(self.fd).st_uid
         # An owner may remove the file, and with it the lock, at any time.
         if owner not in (0, os.geteuid(), uid):
             raise channel_error(119, f"the lock file is user {user_name(owner)}'s", self.path)
 
     def _share(self, mode: int, gid: int | None) -> None:
-        status = os.fstat(self._fd)
+        status = os.fstat(self.fd)
         if status.st_uid == os.geteuid():
             if gid is not None and status.st_gid != gid:
-                os.fchown(self._fd, -1, gid)
-            os.fchmod(self._fd, mode)
+                os.fchown(self.fd, -1, gid)
+            os.fchmod(self.fd, mode)
 
     def still_there(self) -> bool:
         """Return whether the lock is held and the name still leads to the file that is locked."""
-        if self._fd < 0:
+        if self.fd < 0:
             return False
-        mine = os.fstat(self._fd)
+        mine = os.fstat(self.fd)
         return same_file(self.path, mine.st_dev, mine.st_ino)
 
     def show(self) -> None:
         """Note in the file's time stamp that the lock is held now; about once a second."""
-        if self._fd >= 0:
-            os.utime(self._fd)
+        if self.fd >= 0:
+            os.utime(self.fd)
 
     def release(self) -> None:
         """Let go; a second call does nothing."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        if self.fd >= 0:
+            os.close(self.fd)
+            self.fd = -1
 
     def __del__(self) -> None:
         # A descriptor is a plain number: one that is not closed keeps the name until the process ends.

@@ -46,6 +46,7 @@ class OwnedChannel(Mapped):
         # for how long no process held the name before this one, ns, as far as the lock file tells
         self.unowned_ns = found.lock.unheld_ns
         self._lock = found.lock
+        self._names = os.fsencode(found.path), os.fsencode(found.lock.path)
         _owned.add(self)
 
     @classmethod
@@ -162,18 +163,8 @@ class OwnedChannel(Mapped):
         If not, close this one and open the name again. To be called about once a second: it also notes, for
         the next owner, that the name is held.
         """
-        self._lock.show()
-        try:
-            found = os.lstat(self.path)
-        except OSError:
-            return False
-        return (
-            (found.st_dev, found.st_ino) == self._file
-            and self._lock.still_there()
-            # First the size: looking at an object that was cut to nothing is deadly.
-            and found.st_size >= self.identity.object_size
-            and self.region.read(0, spec.IDENTITY_SIZE) == self._first[: spec.IDENTITY_SIZE]
-        )
+        fd = self._lock.fd
+        return fd >= 0 and self.region.held(*self._names, fd, *self._file, self._first[: spec.IDENTITY_SIZE])
 
     def retire(self) -> None:
         """Tell every process that has the object mapped to leave it, remove its name, and close."""

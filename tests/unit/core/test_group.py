@@ -211,6 +211,34 @@ def test_beat(pairs: list[_Pair], codec: Codec) -> None:
     assert after.readers[0].beat == before.readers[0].beat + 1
 
 
+def test_all_beat_in_one_call(pairs: list[_Pair], codec: Codec) -> None:
+    """Readers, writers and tuples of them beat; what is closed, released or None does not, others raise."""
+    users = [(channel.reader(), attached.writer()) for channel, attached in pairs]
+
+    def beats() -> list[tuple[int, int]]:
+        found = [attached.snapshot() for _, attached in pairs]
+        return [(each.readers[0].beat, each.writer.beat) for each in found]
+
+    before = beats()
+    _native.beat([users[0], None, *users[1], users[2][1]] * 20)
+    assert beats() == [
+        (before[0][0] + 20, before[0][1] + 20),
+        (before[1][0] + 20, before[1][1] + 20),
+        (before[2][0], before[2][1] + 20),
+    ]
+    users[0][1].release()
+    pairs[1][0].close()
+    before = beats()
+    _native.beat([*users, *(user for pair in users for user in pair)])
+    after = beats()
+    assert after[0] == (before[0][0] + 2, before[0][1])
+    assert after[1][0] == before[1][0]
+    assert after[2] == (before[2][0] + 2, before[2][1] + 2)
+    for wrong in ([1], [(users[2][0], "x")], [pairs[2][0].region], users[2], None):
+        with pytest.raises(TypeError):
+            _native.beat(wrong)  # type: ignore[arg-type]
+
+
 def test_closed_channels_are_quiet(pairs: list[_Pair], codec: Codec) -> None:
     """A channel closed while it is in a group is quiet, and its memory outlives the group's looks."""
     group = _native.Group()

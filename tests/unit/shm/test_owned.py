@@ -256,6 +256,43 @@ def test_removed_lock_is_noticed(shm_namespace: Namespace) -> None:
         assert not channel.still_there()
 
 
+@pytest.mark.parametrize("kept", [0, 511, 4096])
+def test_object_cut_short_is_noticed(shm_namespace: Namespace, kept: int) -> None:
+    """A bridge does not look into an object that somebody has made shorter than it is mapped."""
+    with open_channel(shm_namespace, record_size=8192) as channel:
+        os.truncate(shm_namespace.path(_TOPIC), kept)
+        assert not channel.still_there()
+        os.truncate(shm_namespace.path(_TOPIC), channel.identity.object_size)  # closing touches its lines
+
+
+def test_other_files_at_the_names_are_noticed(shm_namespace: Namespace) -> None:
+    """A copy of object or lock file at the name, or a link to it, is another file."""
+    for path in (shm_namespace.path(_TOPIC), shm_namespace.lock_path(_TOPIC)):
+        with open_channel(shm_namespace) as channel:
+            content, aside = path.read_bytes(), path.with_name("aside")
+            path.rename(aside)
+            path.write_bytes(content)
+            assert not channel.still_there()
+            path.unlink()
+            path.symlink_to(aside)
+            assert not channel.still_there()
+            aside.rename(path)
+            assert channel.still_there()
+
+
+def test_a_look_shows_that_the_name_is_held(shm_namespace: Namespace) -> None:
+    """Each look is noted in the lock file's time, for the next owner; after the end none is."""
+    lock = shm_namespace.lock_path(_TOPIC)
+    channel = open_channel(shm_namespace)
+    os.utime(lock, ns=(0, 0))
+    assert channel.still_there()
+    assert lock.stat().st_mtime_ns > 0
+    channel.close()
+    os.utime(lock, ns=(0, 0))
+    assert not channel.still_there()
+    assert lock.stat().st_mtime_ns == 0
+
+
 def test_damaged_identity_is_noticed(shm_namespace: Namespace) -> None:
     """A bridge sees that somebody has written over its object's identity."""
     with open_channel(shm_namespace) as channel:
