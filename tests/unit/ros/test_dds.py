@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from rosplc.errors import BackendError
 from rosplc.model import DISTROS, TypeStore
-from rosplc.ros import Qos
+from rosplc.ros import EndpointStatus, Qos
+from rosplc.ros._base import BaseEndpoint
 from rosplc.ros.dds import backend as domain_module
 from rosplc.ros.dds.backend import check_peers, domain_config, domain_id
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
@@ -187,7 +189,8 @@ def test_names_are_those_of_ros_2() -> None:
 OPEN_ALL = """
 import sys
 from rosplc.model import TypeStore
-from rosplc.ros import Qos
+from rosplc.ros import EndpointStatus, Qos
+from rosplc.ros._base import BaseEndpoint
 from tests.interop.graphs import Graph
 
 graph = Graph("dds", int(sys.argv[2]))
@@ -287,6 +290,48 @@ def test_mismatch_is_said_once_in_the_log(graph: Graph, caplog: pytest.LogCaptur
         wait_for(lambda: caplog.text.count(words) == 2)
     assert "node /talker publishes /chatter" in caplog.text
     assert "node /listener subscribes to /chatter" in caplog.text
+
+
+def test_a_status_that_is_kept_is_what_would_be_found(graph: Graph) -> None:
+    """Peers that come, do not fit, and leave, messages and losses: each is in a status at once."""
+    node = graph.node("node")
+    ends = [
+        node.subscribe("/in", STRING, Qos(lease_ns=10**9, deadline_ns=10**8), lambda *_: None),
+        node.advertise("/out", STRING, Qos(deadline_ns=10**8)),
+    ]
+
+    def seen(what: Callable[[EndpointStatus], object]) -> None:
+        def same() -> bool:
+            # Found between two that are the same: nothing has changed meanwhile.
+            before, found, after = (
+                [end.status() for end in ends],
+                [BaseEndpoint.status(end) for end in ends],
+                [end.status() for end in ends],
+            )
+            assert before != after or found == after
+            return before == after and any(what(status) for status in found)
+
+        wait_for(same)
+
+    seen(lambda status: status.reason == "no node publishes /in")
+    assert [end.status() for end in ends] == [end.status() for end in ends]
+    other = graph.node("other")
+    talker = other.advertise("/in", STRING, Qos(lease_ns=10**9, deadline_ns=10**8))
+    listener = other.subscribe("/out", STRING, Qos(), lambda *_: None)
+    seen(lambda status: status.direction == "in" and status.matched == 1)
+    seen(lambda status: status.direction == "out" and status.matched == 1)
+    talker.write(string("a"))
+    seen(lambda status: status.messages == 1)
+    seen(lambda status: status.late > 1)
+    misfit = other.advertise("/in", STRING, Qos(reliability="best_effort"))
+    seen(lambda status: status.code == "ROS004")
+    misfit.close()
+    seen(lambda status: status.direction == "in" and not status.code)
+    for each in (talker, listener):
+        each.close()
+        seen(lambda status: status.matched == 0)
+    seen(lambda status: status.reason == "no node publishes /in")
+    seen(lambda status: status.reason == "no node subscribes to /out")
 
 
 def test_big_endian_arrives_as_little_endian(graph: Graph) -> None:

@@ -1,14 +1,15 @@
-"""The bridge's own DDS endpoints: bytes in, bytes out, state; ``take`` and ``write`` are the hot paths."""
+"""The bridge's own DDS endpoints: bytes in, bytes out, state; ``take`` and ``_emit`` are the hot paths."""
 
 from __future__ import annotations
 
 import sys
+import threading
 from typing import Any
 
-from cyclonedds._clayer import ddspy_take, ddspy_write, ddspy_write_ts
+from cyclonedds._clayer import ddspy_take, ddspy_write_ts
 
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Problem, differs
-from rosplc.ros.backend import OnMessage, Sink
+from rosplc.ros.backend import EndpointStatus, Sink
 from rosplc.ros.buffers import default_buffer, largest_message
 from rosplc.ros.dds import native
 from rosplc.ros.dds._batch import Outlet
@@ -16,11 +17,14 @@ from rosplc.ros.dds.batches import obstacle
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.ros.dds.native import library_log
 
+_FRESH_NS = 10_000_000  # how old a number of messages that do not fit may be
 BATCH = 256  # messages taken from one reader before the others get their turn
 
 
 class Endpoint(BaseEndpoint):
     """What both directions have in common; the type hash is empty on Humble."""
+
+    strangers: frozenset[int] = frozenset()  # handles of publishers that announce another definition
 
     def __init__(self, entity: Any, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -32,6 +36,8 @@ class Endpoint(BaseEndpoint):
         self.reader_ref = self.ref
         self._entity = entity
         self._unfit_before = library_log.dropped(self._received_topic)
+        self._changes, self._asking = native.changes(self.ref, self.direction), threading.Lock()
+        self._known: tuple[tuple[Any, ...], EndpointStatus] | None = None
 
     def _names(self) -> tuple[str, str]:
         """Return the topics of DDS: that of ``entity``, and the one whose messages are received."""
@@ -39,6 +45,23 @@ class Endpoint(BaseEndpoint):
 
     def _matched(self) -> int:
         return native.matched_count(self.ref, self.direction)
+
+    def status(self) -> EndpointStatus:
+        """Return the present state; what cannot have changed is not asked again."""
+        if self.serves or self.closed:
+            return super().status()
+        with self._asking:
+            peers = self._node.peers.on(self.dds_topic, "out" if self.direction == "in" else "in")
+            passed = self.sink.messages if self.sink is not None else 0
+            counts = self._messages, self._dropped, self._rejected, self._failed, self._unfit()
+            basis, known = (peers, self.strangers, passed, *counts), self._known
+            if self._changes() or known is None or known[0] != basis:
+                self._known, found = None, super().status()
+                # A problem has words that depend on more, and one that settles on time.
+                if not found.code and not (found.reason and peers):
+                    self._known = basis, found
+                return found
+            return known[1]
 
     def matched_handles(self) -> frozenset[int]:
         """Instance handles of the matched peers."""
@@ -59,7 +82,7 @@ class Endpoint(BaseEndpoint):
         return samples
 
     def _unfit(self) -> int:
-        library_log.drain()
+        library_log.drain(_FRESH_NS)
         return library_log.dropped(self._received_topic) - self._unfit_before
 
     def entities(self) -> tuple[Any, ...]:
@@ -77,12 +100,8 @@ class Endpoint(BaseEndpoint):
 class DdsSubscription(BaseSubscription, Endpoint):
     """A DDS reader of one topic; see :class:`rosplc.ros.backend.Subscription`."""
 
-    def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
-        super().__init__(on_message, *arguments)
-        self.strangers: frozenset[int] = frozenset()
-
     def review(self) -> None:
-        """Find the publishers that announce another definition."""
+        """Find the strangers."""
         self.strangers = frozenset(
             peer.handle
             for peer in self._node.peers.on(self.dds_topic, "out")
@@ -166,23 +185,10 @@ class DdsPublisher(BasePublisher, Endpoint):
         )
         self._node.logger.warning(text, self.topic, size, self._buffer)
 
-    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
-        data = self._checked(payload)  # the C layer would not ask whether there is a header
-        if len(data) > self._large:
-            self._warn_large(len(data))
-        with self._lock:
-            if self.closed:
-                raise self._closed()
-            if stamp_ns is None:
-                code = ddspy_write(self.ref, data)
-            else:
-                code = ddspy_write_ts(self.ref, data, stamp_ns)
-            if code >= 0:
-                self._messages += 1
-                self._last_ns = self._clock.time_ns()
-                return True
-            if code == native.RETCODE_TIMEOUT:
-                self._dropped += 1
-                return False
-        raise self._refusal(f"its {len(payload)} bytes do not fit {self.type_name}")
+    def _emit(self, payload: bytes, stamp_ns: int) -> bool:
+        if len(payload) > self._large:
+            self._warn_large(len(payload))
+        code = ddspy_write_ts(self.ref, payload, stamp_ns)
+        if code < 0 and code != native.RETCODE_TIMEOUT:
+            raise self._refusal(f"its {len(payload)} bytes do not fit {self.type_name}")
+        return bool(code >= 0)

@@ -11,11 +11,12 @@ import ctypes as ct
 import os
 import re
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from cyclonedds.core import DDSException, Entity, InstanceState, SampleState, ViewState
+from cyclonedds.core import DDSException, DDSStatus, Entity, InstanceState, SampleState, ViewState
 from cyclonedds.internal import DDS, dds_c_t
 
 from rosplc.errors import BackendError
@@ -56,6 +57,13 @@ offered_deadline_missed = _status("offered_deadline_missed")
 # How many of a reader's matched writers have kept to their lease.
 alive_count = _status("liveliness_changed", "alive_count")
 
+_take_status = function("dds_take_status", ct.c_int32, ct.POINTER(ct.c_uint32), ct.c_uint32)
+# What the numbers above and the matched peers change with.
+_CHANGES = {
+    "in": DDSStatus.SampleLost | DDSStatus.SampleRejected | DDSStatus.RequestedDeadlineMissed
+    | DDSStatus.LivelinessChanged | DDSStatus.SubscriptionMatched,
+    "out": DDSStatus.OfferedDeadlineMissed | DDSStatus.PublicationMatched,
+}  # fmt: skip
 _instance_handle = function("dds_get_instance_handle", ct.c_int32, ct.POINTER(ct.c_uint64))
 _delete = function("dds_delete", ct.c_int32)
 _create_waitset = function("dds_create_waitset", ct.c_int32)
@@ -111,6 +119,13 @@ def matched_handles(ref: int, direction: str) -> frozenset[int]:
 def matched_count(ref: int, direction: str) -> int:
     """Return how many peers an endpoint has matched."""
     return max(0, int(_MATCHED[direction](ref, None, 0)))
+
+
+def changes(ref: int, direction: str) -> Callable[[], bool]:
+    """Return what tells whether peers or numbers of an endpoint may have changed since it was last asked."""
+    flags, mask = ct.c_uint32(), _CHANGES[direction]
+    place = ct.byref(flags)
+    return lambda: bool(_take_status(ref, place, mask) or flags.value)
 
 
 class WaitSet:
@@ -190,15 +205,18 @@ class LibraryLog:
         self._file = os.memfd_create("rosplc-dds-log", os.MFD_CLOEXEC)
         self.path = f"/proc/self/fd/{self._file}"
         self._read = 0
-        self._freed = 0
+        self._freed = self._drained_ns = 0
         self._rest = b""
         self._dropped: Counter[str] = Counter()
         self._fallocate = ct.CDLL(None).fallocate
         self._fallocate.argtypes = [ct.c_int, ct.c_int, ct.c_int64, ct.c_int64]
 
-    def drain(self) -> None:
-        """Read what was written since, and give its memory back."""
+    def drain(self, within_ns: int = 0) -> None:
+        """Read what was written since, and give its memory back; not if that was done within a time."""
+        if (now := time.monotonic_ns()) - self._drained_ns < within_ns:
+            return
         with self._lock:
+            self._drained_ns = now
             while chunk := os.pread(self._file, 1 << 16, self._read):
                 self._read += len(chunk)
                 *lines, self._rest = (self._rest + chunk).split(b"\n")
@@ -213,8 +231,7 @@ class LibraryLog:
 
     def dropped(self, topic: str) -> int:
         """Return how many messages on a DDS topic did not fit their type, up to the last drain."""
-        with self._lock:
-            return self._dropped[topic]
+        return self._dropped[topic]
 
 
 library_log = LibraryLog()  # the one of the process

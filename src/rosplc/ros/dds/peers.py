@@ -75,7 +75,7 @@ class PeerTable:
         self._own = own
         self._lock = threading.Lock()
         self._peers: dict[bytes, Peer] = {}
-        self._by_topic: dict[tuple[str, str], dict[bytes, Peer]] = {}
+        self._by_topic: dict[tuple[str, str], tuple[Peer, ...]] = {}
         self.left: set[bytes] = set()  # ids of endpoints that have gone; they are kept until :meth:`forget`
         self.readers = (
             BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
@@ -101,8 +101,8 @@ class PeerTable:
                 endpoint = EndpointInfo(name, type_name, direction, "", *settings)  # type: ignore[arg-type]
                 peer = Peer(guid, info.instance_handle, topic, endpoint, service_id)
                 with self._lock:
-                    self._peers[guid] = peer
-                    self._by_topic.setdefault((topic, direction), {})[guid] = peer
+                    others = self._others(topic, direction, guid)
+                    self._peers[guid], self._by_topic[topic, direction] = peer, (*others, peer)
                 changed.add(topic)
 
         ref = self.readers[which]._ref
@@ -131,15 +131,18 @@ class PeerTable:
             known = [self._peers.pop(guid) for guid in guids if guid in self._peers]
             for peer in known:
                 key = peer.dds_topic, peer.info.direction
-                del self._by_topic[key][peer.guid]
-                if not self._by_topic[key]:  # topics that come and go under new names fill no memory
+                if others := self._others(*key, peer.guid):
+                    self._by_topic[key] = others
+                else:  # topics that come and go under new names fill no memory
                     del self._by_topic[key]
         return {peer.dds_topic for peer in known}
 
+    def _others(self, topic: str, direction: str, guid: bytes) -> tuple[Peer, ...]:
+        return tuple(peer for peer in self.on(topic, direction) if peer.guid != guid)
+
     def on(self, topic: str, direction: str) -> tuple[Peer, ...]:
-        """Return the endpoints of one direction on a DDS topic."""
-        with self._lock:
-            return tuple(self._by_topic.get((topic, direction), {}).values())
+        """Return the endpoints of one direction on a DDS topic; the same object while they are the same."""
+        return self._by_topic.get((topic, direction), ())
 
     def find(self, topic: str, direction: str, handle: int) -> Peer | None:
         """Return the endpoint with this handle on a DDS topic."""
