@@ -6,7 +6,7 @@ import logging
 from abc import abstractmethod
 from collections import defaultdict
 from contextlib import suppress
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rosplc.bridge.port import Context, Port, Ports, Waiting, log
 from rosplc.bridge.status import PortStatus
@@ -43,6 +43,7 @@ class ChannelPort(Port, Generic[_U]):
         self.peer_alive = False
         self._peer_gone_ns: int | None = None
         self._tasks: tuple[str, ...] = ()
+        self._known: tuple[tuple[Any, ...], PortStatus] = ((), PortStatus())
 
     def open(self) -> None:
         """Create or adopt the object. Raises as :meth:`OwnedChannel.open`."""
@@ -75,22 +76,13 @@ class ChannelPort(Port, Generic[_U]):
 
     def retire(self) -> None:
         """Give the object up: its users are told, and its name is free."""
-        channel, self.user = self.channel, None
-        if channel is not None:
+        if (channel := self.channel) is not None:
             channel.retire()
         self.close()
 
     @abstractmethod
     def _claim(self, channel: OwnedChannel) -> _U:
         """Claim what this side claims of an object."""
-
-    def beat(self) -> None:
-        """Show that this side lives."""
-        if (user := self.user) is not None:
-            try:  # noqa: SIM105 - suppress() takes longer than a beat
-                user.beat()
-            except ValueError:  # closed at this moment: the carrier opens it again
-                pass
 
     def check(self, now_ns: int) -> bool:
         """Look after object and peer; what lost its claim, or failed, must be opened again."""
@@ -119,9 +111,13 @@ class ChannelPort(Port, Generic[_U]):
 
     def _status(self, now_ns: int, lost: int = 0, skipped: int = 0) -> PortStatus:
         gone = None if self._peer_gone_ns is None else max(0, now_ns - self._peer_gone_ns)
-        return PortStatus(
-            peer_alive=self.peer_alive, peer_gone_ns=gone, tasks=self._tasks, lost=lost, skipped=skipped
-        )
+        basis = skipped, lost, self.peer_alive, gone, self._tasks
+        before, status = self._known
+        if basis != before:
+            alive, tasks = basis[2], basis[4]
+            status = PortStatus(skipped=skipped, lost=lost, peer_alive=alive, peer_gone_ns=gone, tasks=tasks)
+            self._known = basis, status
+        return status
 
 
 class PortToPlc(ChannelPort[Writer]):
@@ -222,11 +218,6 @@ class PortToRos(ChannelPort[Reader]):
         """Leave the object with its last state."""
         self._lost_before += 0 if self.user is None else self.user.lost
         super().close()
-
-    def retire(self) -> None:
-        """Give the object up: its users are told, and its name is free."""
-        self._lost_before += 0 if self.user is None else self.user.lost
-        super().retire()
 
     def owned(self) -> bool:
         """Return whether the line is still this reader's: another bridge's claim is seen at once."""

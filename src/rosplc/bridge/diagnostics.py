@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from typing import Any
+from functools import lru_cache
+from typing import Any, TypeAlias
 
 from rosplc.bridge.status import BridgeStatus, CallStatus, TopicStatus, format_age
 from rosplc.clock import SYSTEM, Clock
@@ -13,7 +13,6 @@ from rosplc.ros import DEFAULT, Backend, Publisher, fields
 
 TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
-_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
 _CALLS = (
     *("matched", "received", "done", "succeeded", "aborted", "canceled"),
@@ -24,6 +23,8 @@ _TEXT = 240
 _PER_MESSAGE = 32
 """Statuses in one message; aggregators merge by name, and small messages pass every transport."""
 
+_Told: TypeAlias = "BridgeStatus | TopicStatus | CallStatus"
+
 
 class Diagnostics:
     """Publishes a bridge's status."""
@@ -31,67 +32,64 @@ class Diagnostics:
     def __init__(self, store: TypeStore, backend: Backend, clock: Clock = SYSTEM) -> None:
         self._store, self._clock = store, clock
         self._publisher: Publisher = backend.advertise(TOPIC, TYPE, DEFAULT)
-        self._packed: dict[str, tuple[dict[str, Any], int, bytes]] = {}
+        self._cdr = store.ros_version == 2
+        self._packed: dict[int, tuple[_Told, int, bytes]] = {}  # by place: of what, its level, the rest
 
     def publish(self, status: BridgeStatus) -> None:
         """Send the status, in as many messages as it takes. Raises RosplcError: The middleware refused."""
         now = self._clock.time_ns()
         header = {"stamp": fields.time(now)}
         before = fields.pack(self._store, TYPE, {"header": header})[:-4]  # without the number of statuses
-        entries = diagnostic_statuses(status)
-        for at in range(0, len(entries), _PER_MESSAGE):
-            some = entries[at : at + _PER_MESSAGE]
+        every: tuple[_Told, ...] = (status, *status.topics, *status.calls)
+        for at in range(0, len(every), _PER_MESSAGE):
+            some = every[at : at + _PER_MESSAGE]
             message = bytearray(before + struct.pack("<I", len(some)))
-            for entry in some:
-                message += self._pack(entry, len(message) % 4)
+            for place, one in enumerate(some, at):
+                known = self._packed.get(place)
+                if known is None or known[0] is not one:  # most topics are as they were a second ago
+                    entry = diagnostic_status(one, status.bridge)
+                    known = self._packed[place] = one, entry["level"], _rest(entry, cdr=self._cdr)
+                message.append(known[1])
+                message += (bytes(-len(message) % 4) if self._cdr else b"") + known[2]
             self._publisher.write(bytes(message), now)
-
-    def _pack(self, entry: dict[str, Any], at: int) -> bytes:
-        # Most topics tell the same as a second ago, and packing their texts is what costs.
-        known = self._packed.get(entry["name"])
-        if known is None or known[:2] != (entry, at):
-            known = entry, at, fields.pack_part(self._store, _STATUS, _fitting(entry), at)
-            self._packed[entry["name"]] = known
-        return known[2]
 
     def close(self) -> None:
         """Leave the topic."""
         self._publisher.close()
 
 
-def diagnostic_statuses(status: BridgeStatus) -> list[dict[str, Any]]:
-    """Return the bridge's status, then its topics': DiagnosticStatus' fields, ``values`` as a mapping."""
-    name = f"rosplc: {status.bridge}"
-    level, message = status.judgement
-    values = {
-        "backend": status.backend,
-        "backend chosen": status.backend_why,
-        "uptime": format_age(status.uptime_ns),
-        "topics": str(len(status.topics)),
-    }
-    if status.services:
-        values["services"] = str(len(status.services))
-    if status.actions:
-        values["actions"] = str(len(status.actions))
-    entries = [_entry(int(level), name, message, values, status.bridge)]
-    for topic in status.topics:
-        level, message = topic.judgement
-        entries.append(_entry(int(level), f"{name}: {topic.topic}", message, _values(topic), status.bridge))
-    for use in status.calls:
-        level, message = use.judgement
-        entries.append(_entry(int(level), f"{name}: {use.name}", message, _call_values(use), status.bridge))
-    return entries
+def diagnostic_status(told: _Told, bridge: str) -> dict[str, Any]:
+    """Return one status of a bridge's: DiagnosticStatus' fields, ``values`` as a mapping."""
+    name, (level, message) = f"rosplc: {bridge}", told.judgement
+    if isinstance(told, BridgeStatus):
+        values = {
+            "backend": told.backend,
+            "backend chosen": told.backend_why,
+            "uptime": format_age(told.uptime_ns),
+            "topics": str(len(told.topics)),
+        }
+        uses = {"services": len(told.services), "actions": len(told.actions)}
+        values |= {what: str(count) for what, count in uses.items() if count}
+    elif isinstance(told, TopicStatus):
+        name, values = f"{name}: {told.topic}", _values(told)
+    else:
+        name, values = f"{name}: {told.name}", _call_values(told)
+    return {"level": int(level), "name": name, "message": message, "hardware_id": bridge, "values": values}
 
 
-def _entry(level: int, name: str, message: str, values: Mapping[str, str], hardware: str) -> dict[str, Any]:
-    return {"level": level, "name": name, "message": message, "hardware_id": hardware, "values": values}
+def _rest(entry: dict[str, Any], *, cdr: bool) -> bytes:
+    """Return an entry as the message has it behind its level, in CDR from a boundary of 4 bytes on."""
+    first = [_text(entry[key], cdr) for key in ("name", "message", "hardware_id")]
+    values = [_text(text, cdr) for pair in entry["values"].items() for text in pair]
+    data = b"".join((*first, struct.pack("<I", len(entry["values"])), *values))
+    return data[: len(data) - (-int.from_bytes(values[-1][:4], "little") % 4 if cdr else 0)]
 
 
-def _fitting(entry: dict[str, Any]) -> dict[str, Any]:
-    """Return an entry as the message has it, its texts cut."""
-    texts = {key: _fit(entry[key]) for key in ("name", "message", "hardware_id")}
-    values = [{"key": key, "value": _fit(value)} for key, value in entry["values"].items()]
-    return {"level": entry["level"], **texts, "values": values}
+@lru_cache(4096)
+def _text(text: str, cdr: bool) -> bytes:
+    """Return a text, cut between characters and without NUL; in CDR up to the next boundary of 4 bytes."""
+    data = text.replace("\0", " ").encode()[:_TEXT].decode(errors="ignore").encode() + b"\0" * cdr
+    return struct.pack("<I", len(data)) + data + (bytes(-len(data) % 4) if cdr else b"")
 
 
 def _values(topic: TopicStatus) -> dict[str, str]:
@@ -119,8 +117,3 @@ def _call_values(use: CallStatus) -> dict[str, str]:
     for what, reasons in (("not executed", use.not_executed), ("fate unknown", use.fate_unknown)):
         values[what] = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "0"
     return values | {"reason": use.reason}
-
-
-def _fit(text: str) -> str:
-    """Cut a long text between characters, without NUL."""
-    return text.replace("\0", " ").encode()[:_TEXT].decode(errors="ignore")

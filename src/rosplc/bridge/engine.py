@@ -30,10 +30,12 @@ from rosplc.config.resolve import Project, load_project, open_doors, resolve, ri
 from rosplc.config.transforms import TF_MESSAGE
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
+from rosplc.shm import beat
 
 _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_FeedbackMessage")}
 _CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
+_JUST_NOW_NS = 100_000_000
 _APPLY = "`rosplc reload` or a restart of the bridge applies it"
 _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
 """Something of a stranger's is at an object's name: that topic is not carried, and looked at again later."""
@@ -130,7 +132,8 @@ class Bridge:
         self._check_types(self.backend)
         duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
         own = self._own = OwnTopics(
-            self.project, self._ros, self.backend, self.status, self._clock, stack, owned=self._owns_backend
+            *(self.project, self._ros, self.backend, lambda: self.status(_JUST_NOW_NS), self._clock, stack),
+            owned=self._owns_backend,
         )
         self._warnings += own.warnings
         # Until here nothing in shared memory has been touched.
@@ -273,8 +276,8 @@ class Bridge:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def status(self) -> BridgeStatus:
-        """Return how bridge and topics stand."""
+    def status(self, within_ns: int = 0) -> BridgeStatus:
+        """Return how bridge and topics stand; topics as they were seen within a time, if they were."""
         now = self._clock.monotonic_ns()
         notes = list(self._warnings)
         if self._config_changed:
@@ -293,7 +296,9 @@ class Bridge:
             backend_why=str(self._choice) if self._choice is not None else "",
             running=bool(self._started_ns),
             uptime_ns=now - self._started_ns if self._started_ns else 0,
-            topics=tuple(stream.status(now) for stream in self._streams if isinstance(stream, Stream)),
+            topics=tuple(
+                stream.status(now, within_ns) for stream in self._streams if isinstance(stream, Stream)
+            ),
             services=tuple(use for use in uses if isinstance(use, ServiceStatus)),
             actions=tuple(use for use in uses if isinstance(use, ActionStatus)),
             config_changed=self._config_changed,
@@ -316,8 +321,7 @@ class Bridge:
 
     def beat(self) -> None:
         """Beat on all lines."""
-        for stream in self._streams:
-            stream.port.beat()
+        beat([stream.port.user for stream in self._streams])
 
     def check(self, now_ns: int) -> None:
         """Look after objects, peers and the configuration's file."""

@@ -18,7 +18,7 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.config.resolve import Plan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import EndpointStatus
-from rosplc.shm import Namespace
+from rosplc.shm import Namespace, Reader, Writer
 from rosplc.shm.files import USUAL, Rights
 
 if TYPE_CHECKING:
@@ -127,6 +127,7 @@ class Port(Protocol):
     side: Stream
     # What takes messages without Python while it is open: its own towards the PLC, else the publisher's.
     sink: Any = None
+    user: Reader | Writer | None = None  # what beats; from any thread
 
     def open(self) -> None:
         """Create or adopt the object, and claim it; SHM116 if another bridge holds its name."""
@@ -137,10 +138,6 @@ class Port(Protocol):
     def retire(self) -> None:
         """Give the object up, so that its users are told and its name is free; and close."""
         self.close()
-
-    def beat(self) -> None:
-        """Show that this side lives; from any thread."""
-        return
 
     def check(self, now_ns: int) -> bool:
         """Look after object and peer each second. True: open it again; ChannelError: it is unusable."""

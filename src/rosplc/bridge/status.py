@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 from rosplc.levels import Level as Level
@@ -96,7 +97,7 @@ class TopicStatus(PortStatus):
             "definition of the type and the middleware keeps the two apart (ROS003)"
         )
 
-    @property
+    @cached_property
     def judgement(self) -> tuple[Level, str]:
         """The level and a sentence for it; the worst counts."""
         to_plc = self.direction is Direction.TO_PLC

@@ -47,6 +47,7 @@ class Stream(Notes, ABC):
         self._lost_before = 0
         self._rate = 0.0
         self._rate_from: tuple[int, int] = (now, 0)
+        self._known: tuple[tuple[Any, ...], TopicStatus | None, int] = ((), None, 0)  # and when it was seen
         stages: list[Stage] = []
         if plan.on_change:
             stages.append(hold.OnChange(self._key))
@@ -111,11 +112,10 @@ class Stream(Notes, ABC):
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side: tell the PLC how many peers there are, and note new losses."""
-        endpoint = self.endpoint()
+        endpoint, status = self._look(now_ns)
         if endpoint is not None:
             self._tell(endpoint.matched)
-        lost = self._lost(endpoint, self.port.status(now_ns).lost)
-        if lost > self._lost_before:
+        if (lost := status.lost) > self._lost_before:
             # What lost a message a moment ago may have been noted with a better reason.
             if self._reason is None or now_ns - self._reason[2] > _EXPLAINED_NS:
                 self.note(now_ns, self.port.loss(lost - self._lost_before))
@@ -188,35 +188,43 @@ class Stream(Notes, ABC):
         """Return the state of the ROS side's endpoint, None before there is one."""
         return None if self._endpoint is None else self._endpoint.status()
 
-    def _lost(self, endpoint: EndpointStatus | None, by_port: int) -> int:
-        # What a publisher drops was noticed when it was given the message.
-        counts = endpoint is not None and self.plan.direction is Direction.TO_PLC
-        return self.counters.lost + by_port + (endpoint.dropped if endpoint and counts else 0)
+    def status(self, now_ns: int, within_ns: int = 0) -> TopicStatus:
+        """Return the stream's present state, or as it was seen within a time; without an age one object."""
+        _, status, looked_ns = self._known
+        if status is None or now_ns - looked_ns >= within_ns:
+            _, status = self._look(now_ns)
+        if (age_ns := self.silence.age_ns(now_ns)) is None:
+            return status
+        aged = object.__new__(TopicStatus)  # many each second: the constructor takes ten times as long
+        vars(aged).update(vars(status), age_ns=age_ns)
+        return aged
 
-    def status(self, now_ns: int) -> TopicStatus:
-        """Return the stream's present state."""
-        passed = self._passed()
+    def _look(self, now_ns: int) -> tuple[EndpointStatus | None, TopicStatus]:
+        """Return the state of the endpoint, and the stream's without its age."""
+        passed, truncated, counters = self._passed(), getattr(self._sink, "truncated", 0), vars(self.counters)
         plan, silence, endpoint, port = self.plan, self.silence, self.endpoint(), self.port.status(now_ns)
-        found = vars(port) | vars(self.counters) | {"lost": self._lost(endpoint, port.lost)}
-        for name in ("received", "published"):
-            found[name] += passed
-        found["truncated"] += getattr(self._sink, "truncated", 0)
-        found["skipped"] += self.hold.skipped
+        rate, stale, silent = self._rate, silence.stale(now_ns), silence.reported(now_ns)
+        skipped, substituting, noted = self.hold.skipped, self.substituting, self.noted(now_ns, endpoint)
+        states = rate, stale, silent, substituting, silence.last_ns is None
+        basis = endpoint, port, *states, *noted.values(), passed, truncated, skipped, *counters.values()
+        before, status, _ = self._known
+        if basis == before and status is not None:
+            self._known = basis, status, now_ns
+            return endpoint, status
+        found = vars(port) | counters | noted | {"lost": self.counters.lost + port.lost}
+        for name, more in (("received", passed), ("published", passed), ("truncated", truncated)):
+            found[name] += more
+        found["skipped"] += skipped
         if endpoint is not None:
             found["refused"] += endpoint.rejected
             found |= {"matched": endpoint.matched, "deadlines_missed": endpoint.late}
-        return TopicStatus(
-            topic=plan.topic,
-            type_name=plan.type_name,
-            direction=plan.direction,
-            rate_hz=self._rate,
-            age_ns=silence.age_ns(now_ns),
-            stale=silence.stale(now_ns),
-            silent=silence.reported(now_ns),
-            substituting=self.substituting,
-            **self.noted(now_ns, endpoint),
-            **found,
-        )
+            if plan.direction is Direction.TO_PLC:  # what a publisher drops was noticed when it was given it
+                found["lost"] += endpoint.dropped
+        found |= {"topic": plan.topic, "type_name": plan.type_name, "direction": plan.direction}
+        found |= {"rate_hz": rate, "stale": stale, "silent": silent, "substituting": substituting}
+        status = TopicStatus(**found)
+        self._known = basis, status, now_ns
+        return endpoint, status
 
 
 class ToPlc(Stream):

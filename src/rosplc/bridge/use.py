@@ -174,12 +174,10 @@ class Use(Notes, ABC):
             channel.retire()
         self.close()
 
-    def beat(self) -> None:
-        """Show that this side lives; from any thread."""
-        users: tuple[Writer | Reader, ...] = (*self._writers.values(), *self._readers.values())
-        for user in users:
-            with suppress(ValueError):  # closed at this moment
-                user.beat()
+    @property
+    def user(self) -> tuple[Writer | Reader, ...]:
+        """What beats; from any thread."""
+        return (*self._writers.values(), *self._readers.values())
 
     def check(self, now_ns: int) -> bool:
         """Look after the objects; return whether they must be opened again."""

@@ -44,7 +44,7 @@ from rosplc.ros import (
     open_backend,
 )
 from rosplc.ros.backend import OnReply, OnRequest
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach, beat
 from rosplc.shm.calls import WORDS
 from rosplc.shm.files import USUAL, Rights
 
@@ -451,7 +451,8 @@ class PlcPart:
         use.begin(self._clock.monotonic_ns())
         self._carrier = Carrier("rosplc-calls", ports, self._clock)
         self._carrier.replace((), (use,))
-        self._beats = Rounds("rosplc-beats", self._clock, Duty("beating", context.beat_ns, use.beat))
+        beating = Duty("beating", context.beat_ns, lambda: beat([use.user]))
+        self._beats = Rounds("rosplc-beats", self._clock, beating)
         self._beats.start()
 
     @property

@@ -51,14 +51,6 @@ def pack(store: TypeStore, type_name: str, values: Mapping[str, Any]) -> bytes:
     return bytes(writer.out) if writer.ros1 else b"\0\1\0\0" + bytes(writer.out)
 
 
-def pack_part(store: TypeStore, type_name: str, values: Mapping[str, Any], at: int) -> bytes:
-    """Return an inner message as :func:`pack` writes it ``at`` bytes behind a boundary of 8."""
-    writer = _Writer(store)
-    writer.out += bytes(at)
-    writer.message(type_name, values)
-    return bytes(writer.out[at:])
-
-
 def time(ns: int) -> dict[str, int]:
     """Return a time in ns since 1970 as a message's stamp has it."""
     # An int32 in ROS 2; from 2038 on its bits are those of ROS 1's uint32, which lasts until 2106.

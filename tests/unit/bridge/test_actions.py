@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rosplc.bridge import Bridge
-from rosplc.bridge.diagnostics import diagnostic_statuses
+from rosplc.bridge.diagnostics import diagnostic_status
 from rosplc.bridge.managed import ManagedBridge
 from rosplc.config import parse_config as parse
 from rosplc.ros.actions import STATUS_QOS, ActionClient, GoalEvent
@@ -122,7 +122,9 @@ def test_a_goal_from_ros(cell: Cell, plc: ActionServer, client: Client) -> None:
     assert client.result(uuid) == (GoalStatus.CANCELED, [5, 8])
     (status,) = bridge.status().actions
     assert (status.received, status.canceled, status.feedback, status.outstanding) == (1, 1, 1, 0)
-    names = {entry["name"]: entry["values"] for entry in diagnostic_statuses(bridge.status())}
+    status = bridge.status()
+    entries = (diagnostic_status(one, "cell") for one in (status, *status.calls))
+    names = {entry["name"]: entry["values"] for entry in entries}
     assert names["rosplc: cell: action /count"]["canceled"] == "1"
     assert names["rosplc: cell"]["actions"] == "1"
     (shown,) = bridge.status().to_dict()["actions"]

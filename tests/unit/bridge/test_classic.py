@@ -12,7 +12,7 @@ import posix_ipc
 import pytest
 
 from rosplc.bridge import Bridge
-from rosplc.bridge.diagnostics import diagnostic_statuses
+from rosplc.bridge.diagnostics import diagnostic_status
 from rosplc.bridge.status import Level
 from rosplc.errors import ChannelError
 from rosplc.layout import Limits, compute_layout
@@ -279,7 +279,7 @@ def test_diagnostics_say_what_is_known(tmp_path: Path) -> None:
     with ClassicCell(tmp_path, "plc", FAST) as cell:
         posix_ipc.Semaphore(f"/{cell.name}").release()
         wait_for(lambda: cell.classic.mended == 1)
-        values = diagnostic_statuses(cell.bridge.status())[1]["values"]
+        values = diagnostic_status(cell.bridge.status().topics[0], "cell")["values"]
         assert values["PLC alive"] == "unknown"
         assert values["classic memory"] == f"{cell.name}, {SIZE} bytes"
         assert "1 corrected" in values["lock"]

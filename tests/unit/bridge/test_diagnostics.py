@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from rosplc.bridge import diagnostics
 from rosplc.bridge.diagnostics import TOPIC, TYPE, Diagnostics
-from rosplc.bridge.status import BridgeStatus
+from rosplc.bridge.status import BridgeStatus, TopicStatus
+from rosplc.bridge.stream import Stream
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
+from rosplc.shm import Direction
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import Cell, wire
@@ -97,23 +99,104 @@ def test_diagnostics_outlast_2038() -> None:
     assert sent.header.stamp.sec % 2**32 == 2**31 + 5
 
 
-def test_what_has_not_changed_is_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_not_changed_is_sent_again() -> None:
     """A status keeps its words when the one before it has become longer, and so has another place."""
     got: list[bytes] = []
-    entry = {"level": 1, "name": "a", "message": "m", "hardware_id": "cell"}
-    entries = [entry, {**entry, "name": "b", "values": {"reason": "none"}}]
-    monkeypatch.setattr(diagnostics, "diagnostic_statuses", lambda _: entries)
+    first, second = (
+        TopicStatus(topic=f"/{name}", type_name=INT, direction=Direction.TO_PLC, problem="m", reason="none")
+        for name in "ab"
+    )
     types = TypeStore.bundled("jazzy")
     with closing(open_backend("memory", types, "cell", domain=92)) as backend:
         backend.subscribe(TOPIC, TYPE, Qos(), lambda payload, _: got.append(payload))
         sender = Diagnostics(types, backend)
         for length in range(6):
-            entries[0] = {**entry, "values": {"reason": "x" * length}}
-            sender.publish(BridgeStatus("cell", "memory", running=True))
+            topics = replace(first, reason="x" * length), second
+            sender.publish(BridgeStatus("cell", "memory", running=True, topics=topics))
             wait_for(lambda: len(got) == length + 1)  # noqa: B023 - called at once
     store = get_typestore(Stores.ROS2_JAZZY)
     for length, payload in enumerate(got):
         sent: Any = store.deserialize_cdr(payload, TYPE)
-        first, second = sent.status
-        assert (first.name, first.values[0].value) == ("a", "x" * length)
-        assert (second.level, second.name, second.values[0].value) == (1, "b", "none")
+        _, one, other = sent.status
+        assert (one.name, one.values[-1].value) == ("rosplc: cell: /a", "x" * length)
+        assert (other.level, other.name, other.message) == (2, "rosplc: cell: /b", "m")
+        assert (other.values[-1].key, other.values[-1].value) == ("reason", "none")
+
+
+@pytest.mark.parametrize("length", range(230, 250))
+def test_long_texts_are_cut(length: int) -> None:
+    """A text keeps its first 240 bytes, whole characters and no NUL; what is behind it is in its place."""
+    got: list[bytes] = []
+    types, text = TypeStore.bundled("jazzy"), "\0ü" + "x" * length
+    with closing(open_backend("memory", types, "cell", domain=92)) as backend:
+        backend.subscribe(TOPIC, TYPE, Qos(), lambda payload, _: got.append(payload))
+        status = TopicStatus(topic="/a", type_name=INT, direction=Direction.TO_PLC, problem=text, reason=text)
+        Diagnostics(types, backend).publish(BridgeStatus("cell", "memory", running=True, topics=(status,)))
+        wait_for(lambda: got)
+    sent: Any = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(got[0], TYPE)
+    cut = (" ü" + "x" * length).encode()[:240].decode(errors="ignore")
+    assert (sent.status[1].message, sent.status[1].values[-1].value) == (cut, cut)
+
+
+def test_ros1_reads_it_too() -> None:
+    """Without CDR's boundaries, for the types of ROS 1."""
+    got: list[bytes] = []
+    types = TypeStore.bundled("noetic")
+    with closing(open_backend("memory", types, "cell", domain=92)) as backend:
+        backend.subscribe(TOPIC, TYPE, Qos(), lambda payload, _: got.append(payload))
+        status = TopicStatus(topic="/a", type_name=INT, direction=Direction.TO_ROS, problem="odd")
+        Diagnostics(types, backend).publish(BridgeStatus("cell", "memory", running=True, topics=(status,)))
+        wait_for(lambda: got)
+    sent: Any = get_typestore(Stores.ROS1_NOETIC).deserialize_ros1(got[0], TYPE)
+    assert [one.name for one in sent.status] == ["rosplc: cell", "rosplc: cell: /a"]
+    assert (sent.status[1].level, sent.status[1].message) == (2, "odd")
+    assert sent.status[1].values[-1].key == "reason"
+
+
+def test_a_change_is_in_the_next_diagnostics(cell: Cell) -> None:
+    """Each number and word that a stream reports is in what is published after it has changed."""
+    topics = f"  /in: {{type: {INT}, to: plc, stale_after: 1h}}\n  /out: {{type: {INT}, to: ros}}\n"
+    bridge = cell.start(topics)
+    messages = cell.listen(TOPIC, TYPE)
+    assert bridge.backend is not None
+    sender = Diagnostics(TypeStore.bundled("jazzy"), bridge.backend)
+
+    def told(topic: str) -> dict[str, str]:
+        count = len(messages)
+        sender.publish(bridge.status())
+        wait_for(lambda: len(messages) > count)
+        status = statuses(messages[count:])[f"rosplc: cell: {topic}"]
+        return {pair.key: pair.value for pair in status.values} | {"message": status.message}
+
+    for stream in bridge._streams:
+        assert isinstance(stream, Stream)
+        topic = stream.plan.topic
+        for number, name in enumerate(vars(stream.counters), 5):
+            assert told(topic)[name] != str(number)
+            setattr(stream.counters, name, number)
+            assert told(topic)[name] == str(number)
+        for name, key, values in (
+            ("_rate", "rate [Hz]", (12.5, 13.5)),
+            ("peer_alive", "PLC alive", (True, False)),
+        ):
+            for value in values:
+
+                def shown(name: str = name, key: str = key, value: object = value) -> bool:
+                    setattr(stream if name == "_rate" else stream.port, name, value)  # noqa: B023 - called at once
+                    return told(topic)[key] == str(value)  # noqa: B023 - called at once
+
+                wait_for(shown)  # the heartbeat sets it again each second
+        stream.note(stream._now(), "something else", "COD001")
+        assert (told(topic)["reason"], told(topic)["message"]) == ("something else", "something else")
+        stream.problem = "it broke"
+        assert told(topic)["message"] == "it broke"
+        stream.problem = ""
+        assert told(topic)["message"] == "something else"
+    assert told("/in")["age"] == "never"
+    publisher = cell.publisher("/in", INT)
+    wait_for(lambda: told("/in")["matched"] == "1")
+    publisher.write(wire(INT, {"data": 1}))
+    wait_for(lambda: told("/in")["received"] == "6")
+    assert told("/in")["age"].endswith(" s")
+    publisher.close()
+    wait_for(lambda: told("/in")["matched"] == "0")

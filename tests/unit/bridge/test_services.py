@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rosplc.bridge import Bridge
-from rosplc.bridge.diagnostics import diagnostic_statuses
+from rosplc.bridge.diagnostics import diagnostic_status
 from rosplc.bridge.use import Use
 from rosplc.config import ConfigErrors
 from rosplc.config import parse_config as parse
@@ -101,7 +101,9 @@ def test_both_ways(cell: Cell, plc: tuple[ServiceServer, ServiceClient]) -> None
     repeat_until(client, lambda: not client.xServer, every=0.005)
     start_, grip = bridge.status().services
     assert (start_.done, start_.received, grip.done, grip.received) == (1, 1, 1, 1)
-    names = {entry["name"]: entry["values"] for entry in diagnostic_statuses(bridge.status())}
+    status = bridge.status()
+    entries = (diagnostic_status(one, "cell") for one in (status, *status.calls))
+    names = {entry["name"]: entry["values"] for entry in entries}
     assert names["rosplc: cell: service /grip pick"]["done"] == "1"
     assert names["rosplc: cell: service /start"]["not executed"] == "0"
     assert [each["done"] for each in bridge.status().to_dict()["services"]] == [1, 1]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge import Bridge, Level
+from rosplc.bridge import Bridge, Level, engine
 from rosplc.bridge.hold import OnChange
 from rosplc.bridge.stream import ToRos
 from rosplc.config import parse_config
@@ -38,10 +38,12 @@ def pause(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         monkeypatch.setattr(
             stream, "check", lambda now_ns, check=check: go_on.is_set() and bool(check(now_ns))
         )
-        monkeypatch.setattr(stream.port, "beat", lambda: None)
         ports.wake()
         assert paused.wait(60)
         paused.clear()
+    own, beat = [stream.port for stream in bridge._streams], engine.beat
+    others = lambda users: [user for user in users if all(user is not port.user for port in own)]  # noqa: E731
+    monkeypatch.setattr(engine, "beat", lambda users: beat(others(users)))
     return go_on
 
 
