@@ -92,15 +92,16 @@ def _sentence(text: str) -> str:
 
 
 def _table(variables: Iterable[Variable]) -> list[str]:
-    lines = ["| name | type | initial | meaning |", "| --- | --- | --- | --- |"]
+    lines = ["| name | type | meaning |", "| --- | --- | --- |"]
     for variable in variables:
-        initial = f"`{variable.initial}`" if variable.initial is not None else ""
-        shown = f"`{variable.type}`"
+        initial = f" := {variable.initial}" if variable.initial is not None else ""
+        shown = f"`{variable.type}{initial}`"
         if kind := _of_users(variable.type):
             shown = f"the {kind}'s type"
         elif isinstance(ITEMS.get(variable.type), Enumeration):
-            shown = f"[{shown}]({ELSEWHERE.get(variable.type, f'#{variable.type.lower()}')})"
-        lines.append(f"| `{variable.name}` | {shown} | {initial} | {_cell(variable.comment)} |")
+            link = ELSEWHERE.get(variable.type, f"#{variable.type.lower()}")
+            shown = f"[`{variable.type}`]({link})" + (f" `{initial.strip()}`" if initial else "")
+        lines.append(f"| `{variable.name}` | {shown} | {_cell(variable.comment)} |")
     return [*lines, ""]
 
 
