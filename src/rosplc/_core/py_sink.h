@@ -39,9 +39,11 @@ static void *sink_object(rosplc_sink *sink)
 
 static void sink_open(SinkObject *self, int64_t limit_ns)
 {
+    pthread_mutex_lock(&self->sink.mutex); /* what pass() needs has been set before */
     self->sink.limit_ns = limit_ns;
     self->sink.last_ns = rosplc_sink_now();
     self->sink.open = 1;
+    pthread_mutex_unlock(&self->sink.mutex);
 }
 
 /* Once this returns, nothing is passed on until it is opened again. */
