@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import mmap
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -30,6 +32,46 @@ DEEP = Qos(depth=5000)
 def number(value: int) -> bytes:
     """Return a serialized Int32."""
     return b"\0\1\0\0" + struct.pack("<i", value)
+
+
+_ADD_AND_REMOVE = """
+import sys, threading
+from rosplc.ros.dds import _batch, native
+from rosplc.shm import Sink
+
+sys.setswitchinterval(1e-6)
+_batch.load(native.library._name)
+inlet, capsule, ending = _batch.Inlet(), Sink().capsule, threading.Event()
+
+def remove():
+    while not ending.is_set():
+        inlet.remove(0)
+
+def work():
+    while not ending.is_set():
+        pass
+
+threads = [threading.Thread(target=each) for each in (remove, remove, work)]
+for thread in threads:
+    thread.start()
+for _ in range(1000):
+    new = _batch.Inlet()
+    new.add(0, 1, capsule)
+    inlet = new
+    for size in range(5, 14):
+        inlet.add(1 << size, 1, capsule)
+ending.set()
+for thread in threads:
+    thread.join()
+print("passed")
+"""
+
+
+def test_threads_that_add_and_remove_readers_do_not_wait_for_each_other() -> None:
+    """The table grows in one thread while another one lets go of an entry."""
+    command = [sys.executable, "-c", _ADD_AND_REMOVE]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout == "passed\n", done.stderr
 
 
 class Cell:

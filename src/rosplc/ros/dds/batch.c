@@ -143,10 +143,10 @@ static void inlet_set(InletObject *self, size_t key, Entry entry)
     Entry before;
     Py_BEGIN_ALLOW_THREADS;
     pthread_mutex_lock(&self->mutex);
-    Py_END_ALLOW_THREADS;
     before = self->entries[key];
     self->entries[key] = entry;
     pthread_mutex_unlock(&self->mutex);
+    Py_END_ALLOW_THREADS;
     Py_XDECREF(before.capsule);
 }
 
