@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import mmap
+import queue
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -14,11 +16,13 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
 
+from cyclonedds.domain import DomainParticipant
+
 from rosplc.bridge import Bridge
 from rosplc.config import parse_config
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, Publisher, Qos, open_backend
-from rosplc.ros.dds import _batch, batches
+from rosplc.ros.dds import _batch, batches, native
 from rosplc.shm import Attached, Direction, Namespace, Sink, Writer, attach
 from rosplc.shm.constants import FLAG_FIRST, READER_LINES_OFFSET
 from tests.interop.graphs import LOCAL, STRING, free_domain, string
@@ -32,6 +36,36 @@ DEEP = Qos(depth=5000)
 def number(value: int) -> bytes:
     """Return a serialized Int32."""
     return b"\0\1\0\0" + struct.pack("<i", value)
+
+
+def test_what_an_inlet_cannot_have_is_refused() -> None:
+    """Keys, room and times are bounded, and one thread waits at a time."""
+    _batch.load(native.library._name)
+    inlet, capsule, results = _batch.Inlet(), Sink().capsule, queue.SimpleQueue[object]()
+    for key, reader in ((-1, 1), (1 << 20, 1), (0, 0)):
+        with pytest.raises(ValueError, match="between 0 and"):
+            inlet.add(key, reader, capsule)
+    for room, timeout_ns in ((0, 0), ((1 << 20) + 1, 0), (1 << 61, 0), (1, -1)):
+        with pytest.raises(ValueError, match="room for 1 to"):
+            inlet.wait(0, room, timeout_ns)
+
+    def wait(ref: int) -> None:
+        try:
+            results.put(inlet.wait(ref, 1, 2**63 - 1))
+        except RuntimeError as error:
+            results.put(str(error))
+
+    with free_domain() as domain:
+        participant = DomainParticipant(domain)
+        waitset = native.WaitSet(participant._ref)
+        threads = [threading.Thread(target=wait, args=(waitset.ref,), daemon=True) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        assert results.get(timeout=10) == "another thread waits already"
+        waitset.wake()
+        assert results.get(timeout=10) == ([-1], [])
+        waitset.close()
+        native.delete(participant)
 
 
 _ADD_AND_REMOVE = """

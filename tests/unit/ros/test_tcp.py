@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import queue
 import random
 import socket
 import subprocess
@@ -150,8 +151,28 @@ def test_a_removed_connection_is_let_go() -> None:
             assert loop.wait() == []
     with pytest.raises(ValueError, match="closed"):
         loop.receive(-1, None, None)
+    with pytest.raises(OSError, match="cannot be watched"):
+        loop.receive(2**31 - 1, None, None)
     with pytest.raises(ValueError, match="PyCapsule"):
         loop.divert(0, object())
+
+
+def test_a_loop_serves_one_thread() -> None:
+    """A second one that would wait is refused, whichever comes first."""
+    loop, results = Loop(MOST), queue.SimpleQueue[object]()
+
+    def wait() -> None:
+        try:
+            results.put(loop.wait())
+        except RuntimeError as error:
+            results.put(str(error))
+
+    threads = [threading.Thread(target=wait, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    assert results.get(timeout=10) == "another thread waits already"
+    loop.wake()
+    assert results.get(timeout=10) == []
 
 
 def test_a_subscriber_that_does_not_read_holds_the_newest_messages(pair: Pair) -> None:

@@ -4,7 +4,7 @@ from typing import final
 class Inlet:
     """What has arrived for many readers, into their sinks, in one call; needs :func:`load`.
 
-    wait() belongs to one thread; the rest may be called from any.
+    wait() belongs to one thread (RuntimeError); the rest may be called from any.
     """
 
     def __new__(cls) -> Inlet: ...

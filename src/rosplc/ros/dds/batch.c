@@ -33,7 +33,7 @@ typedef struct {
     size_t size;
 } wheel_sample;
 
-enum { ANY_STATE = 127, BATCH = 256, GUARD = -1 };
+enum { ANY_STATE = 127, BATCH = 256, MOST_KEYS = 1 << 20 };
 
 static struct {
     int32_t (*waitset_wait)(int32_t waitset, intptr_t *keys, size_t room, int64_t timeout_ns);
@@ -101,6 +101,7 @@ typedef struct {
     size_t room;
     intptr_t *keys;
     size_t keys_room;
+    int waits; /* whether a thread is in wait(), to which all that follows belongs */
     message batch[BATCH];
     int batch_count;
     Left left[BATCH]; /* what no sink took */
@@ -159,8 +160,8 @@ static PyObject *inlet_add(InletObject *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "niO:add", &key, &reader, &capsule)
         || !(sink = PyCapsule_GetPointer(capsule, ROSPLC_SINK)))
         return NULL;
-    if (key < 0 || key > INT32_MAX || reader <= 0)
-        return PyErr_Format(PyExc_ValueError, "a key is 0 or more, and a reader greater than 0");
+    if (key < 0 || key >= MOST_KEYS || reader <= 0)
+        return PyErr_Format(PyExc_ValueError, "a key is between 0 and %d, and a reader greater than 0", MOST_KEYS - 1);
     if ((size_t)key >= self->room) {
         size_t room = 2 * (size_t)key + 16;
         Entry *grown = PyMem_Calloc(room, sizeof *grown), *old;
@@ -260,8 +261,10 @@ static PyObject *inlet_wait(InletObject *self, PyObject *args)
     int count = 0, others = 0;
     if (!PyArg_ParseTuple(args, "inL:wait", &waitset, &room, &timeout_ns))
         return NULL;
-    if (room < 1 || timeout_ns < 0)
-        return PyErr_Format(PyExc_ValueError, "there is room for 1 key at least, and a timeout is not negative");
+    if (room < 1 || room > MOST_KEYS || timeout_ns < 0)
+        return PyErr_Format(PyExc_ValueError, "there is room for 1 to %d keys, and a timeout is not negative", MOST_KEYS);
+    if (self->waits)
+        return PyErr_Format(PyExc_RuntimeError, "another thread waits already");
     if ((size_t)room > self->keys_room) {
         intptr_t *grown = PyMem_Realloc(self->keys, 2 * (size_t)room * sizeof *grown);
         if (!grown)
@@ -269,7 +272,9 @@ static PyObject *inlet_wait(InletObject *self, PyObject *args)
         self->keys = grown;
         self->keys_room = 2 * (size_t)room;
     }
-    deadline = rosplc_sink_now() + timeout_ns;
+    deadline = rosplc_sink_now();
+    deadline = timeout_ns > INT64_MAX - deadline ? INT64_MAX : deadline + timeout_ns;
+    self->waits = 1;
     Py_BEGIN_ALLOW_THREADS;
     for (int64_t now = 0; !others && !self->left_count && now < deadline; now = rosplc_sink_now()) {
         count = dds.waitset_wait(waitset, self->keys, self->keys_room, now ? deadline - now : timeout_ns);
@@ -295,6 +300,7 @@ static PyObject *inlet_wait(InletObject *self, PyObject *args)
             Py_CLEAR(keys);
         Py_XDECREF(key);
     }
+    self->waits = 0;
     if (!keys || !messages) {
         Py_XDECREF(keys);
         Py_XDECREF(messages);

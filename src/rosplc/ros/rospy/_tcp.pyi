@@ -18,6 +18,7 @@ class Loop:
         """Sleep and pass messages on until something is left to do, or :meth:`wake` is called.
 
         Returns owners, messages that no sink took, in order, and why the connection ended, if it has.
+        Raises RuntimeError: Another thread waits.
         """
     def wake(self) -> None:
         """Make this or the next :meth:`wait` return."""

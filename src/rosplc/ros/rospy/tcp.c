@@ -62,7 +62,7 @@ typedef struct {
     Entry *entries; /* by file descriptor */
     size_t room;
     int news[EVENTS]; /* descriptors with something for Python */
-    int news_count;
+    int news_count, waits; /* waits: whether a thread is in wait(); belongs to the GIL, as news does outside of serve() */
     uint8_t scratch[READ];
 } LoopObject;
 
@@ -231,7 +231,10 @@ static PyObject *loop_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
         return PyErr_NoMemory();
     }
     self->ready = 1;
-    watch(self, EPOLL_CTL_ADD, self->waker, 0, EPOLLIN);
+    if (watch(self, EPOLL_CTL_ADD, self->waker, 0, EPOLLIN)) {
+        PyErr_SetFromErrno(PyExc_OSError);
+        Py_CLEAR(self);
+    }
     return (PyObject *)self;
 }
 
@@ -284,16 +287,23 @@ static void loop_dealloc(LoopObject *self)
 /* Enters a connection and returns its number; 0 with an exception. */
 static uint32_t loop_enter(LoopObject *self, int fd, Entry entry, uint32_t events)
 {
-    Entry *grown;
     if (fd < 0) {
         PyErr_SetString(PyExc_ValueError, "the connection is closed");
         return 0;
     }
     pthread_mutex_lock(&self->mutex);
-    if ((size_t)fd >= self->room) {
+    entry.number = ++self->last ? self->last : ++self->last; /* 0 is the waker's */
+    if (((size_t)fd < self->room && self->entries[fd].owner)
+        || watch(self, EPOLL_CTL_ADD, fd, entry.number, events)) {
+        pthread_mutex_unlock(&self->mutex);
+        PyErr_Format(PyExc_OSError, "the connection %d cannot be watched", fd);
+        return 0;
+    }
+    if ((size_t)fd >= self->room) { /* it is open: no number that somebody made up */
         size_t room = 2 * (size_t)fd + 16;
-        grown = realloc(self->entries, room * sizeof *grown);
+        Entry *grown = realloc(self->entries, room * sizeof *grown);
         if (!grown) {
+            watch(self, EPOLL_CTL_DEL, fd, 0, 0);
             pthread_mutex_unlock(&self->mutex);
             PyErr_NoMemory();
             return 0;
@@ -301,12 +311,6 @@ static uint32_t loop_enter(LoopObject *self, int fd, Entry entry, uint32_t event
         memset(grown + self->room, 0, (room - self->room) * sizeof *grown);
         self->entries = grown;
         self->room = room;
-    }
-    entry.number = ++self->last ? self->last : ++self->last; /* 0 is the waker's */
-    if (self->entries[fd].owner || watch(self, EPOLL_CTL_ADD, fd, entry.number, events)) {
-        pthread_mutex_unlock(&self->mutex);
-        PyErr_Format(PyExc_OSError, "the connection %d cannot be watched", fd);
-        return 0;
     }
     Py_INCREF(entry.owner);
     Py_XINCREF((PyObject *)entry.sender);
@@ -540,6 +544,9 @@ static PyObject *loop_wait(LoopObject *self, PyObject *unused)
     PyObject *list;
     int woken = 0;
     (void)unused;
+    if (self->waits)
+        return PyErr_Format(PyExc_RuntimeError, "another thread waits already");
+    self->waits = 1;
     self->news_count = 0;
     Py_BEGIN_ALLOW_THREADS;
     while (!self->news_count && !woken && self->epoll >= 0) {
@@ -560,6 +567,7 @@ static PyObject *loop_wait(LoopObject *self, PyObject *unused)
             Py_CLEAR(list);
         Py_XDECREF(news);
     }
+    self->waits = 0;
     return list;
 }
 
