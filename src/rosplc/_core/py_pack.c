@@ -285,8 +285,11 @@ static int put_many(const FieldObject *field, uint8_t *base, PyObject *value, mi
         if (field->shape)
             rp_lay_initial(field, to, size);
     }
-    if (!failed && row.obj)
+    if (!failed && row.obj) {
         failed = PyBuffer_ToContiguous(to, &row, row.len, 'C');
+        for (Py_ssize_t i = 0; field->kind->code == '?' && i < count; i++)
+            to[i] = to[i] != 0; /* a PLC's BOOL holds 0 or 1, a mask of numpy's also 255 */
+    }
     for (Py_ssize_t i = 0; !failed && !row.obj && i < count; i++) {
         /* Converting an element may have shortened the list. */
         PyObject *item = Py_XNewRef(listed ? PyList_GetItem(items, i) : PyTuple_GetItem(items, i));

@@ -172,7 +172,9 @@ def test_numbers_in_bulk_are_the_same_as_one_by_one(kind: str, dtype: str) -> No
     plain = np.array([0, 1, 1, 0] if kind == "bool" else [0, 1, 100, 127], dtype)
     record = layout.pack({"x": plain.tolist(), "y": plain.tolist()})
     forms = [plain, plain.astype(plain.dtype.newbyteorder(">")), np.repeat(plain, 2)[::2], memoryview(plain)]
-    if kind not in ("bool",):
+    if kind == "bool":  # of a mask, whose bytes are no truth values
+        forms += [np.array([0, 255, 2, 0], "u1").view("?"), memoryview(b"\0\x80\1\0").cast("?")]
+    else:
         forms.append(array.array({"u1": "B"}.get(dtype, plain.dtype.char), plain.tolist()))
         forms.append(plain.astype("i8") if plain.dtype.kind in "iu" else plain.astype("f8"))
     for form in forms:
