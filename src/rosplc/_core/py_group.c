@@ -433,9 +433,11 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
     }
     if (passed)
         return 1;
-    message = Py_BuildValue("(ny#kkKk)", index, (const char *)self->wire, (Py_ssize_t)used,
-                            (unsigned long)take.sequence, (unsigned long)take.flags,
-                            (unsigned long long)take.stamp_hi << 32 | take.stamp_lo, (unsigned long)take.stamp_clock);
+    /* First: making a tuple may run a finalizer, which may add a channel and so take the buffer away. */
+    message = PyBytes_FromStringAndSize((const char *)self->wire, (Py_ssize_t)used);
+    if (message)
+        message = Py_BuildValue("(nNkkKk)", index, message, (unsigned long)take.sequence, (unsigned long)take.flags,
+                                (unsigned long long)take.stamp_hi << 32 | take.stamp_lo, (unsigned long)take.stamp_clock);
     failed = !message || PyList_Append(messages, message);
     Py_XDECREF(message);
     return failed ? -1 : 1;
@@ -452,16 +454,18 @@ static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages,
         return 0;
     if (entry->broken || entry->reader->owner->closed || !rosplc_reader_news(&entry->reader->reader))
         return 0;
-    error = rosplc_region_check(&entry->reader->owner->region);
+    reader = entry->reader;
+    Py_INCREF((PyObject *)reader);
+    error = rosplc_region_check(&reader->owner->region);
     if (error) {
         entry->broken = 1;
-        ch_raise_channel(error, entry->reader->owner->path);
-        return append_pair(faults, index, caught());
+        ch_raise_channel(error, reader->owner->path);
+        taken = append_pair(faults, index, caught());
+        Py_DECREF((PyObject *)reader);
+        return taken;
     }
-    reader = entry->reader;
     limit = entry->limit;
     watch->quiet = 0; /* what was no news may be some once another message is the last one taken */
-    Py_INCREF((PyObject *)reader);
     for (uint32_t i = 0; i < limit && taken == 1; i++) {
         if (i && i % OTHERS_TURN == 0) { /* a long queue goes into a sink without any Python in between */
             Py_BEGIN_ALLOW_THREADS;

@@ -325,3 +325,49 @@ def test_a_quiet_wait_sleeps_once_a_tick(shm_namespace: Namespace, codec: Codec)
         channel.close()
     # A spinning wait never sleeps, one that wakes for other reasons sleeps more often than it ticks.
     assert 1 <= sleeps <= ticks + 5
+
+
+def test_a_finalizer_may_add_a_channel_while_messages_are_made(
+    shm_namespace: Namespace, pairs: list[_Pair], codec: Codec
+) -> None:
+    """Its larger messages get another buffer, and what was taken before stays as it was taken."""
+    limits = [Limits(string=1000 * size) for size in range(1, 31)]
+    texts = [compute_layout(TypeStore.bundled("jazzy"), "std_msgs/msg/String", limit) for limit in limits]
+    plans = [Codec(text, Wire.CDR).plan for text in texts]
+    channels = [
+        open_channel(shm_namespace, Direction.TO_ROS, topic=f"/text{index}", record_size=text.size)
+        for index, text in enumerate(texts)
+    ]
+    others = [(channel.reader(), plan) for channel, plan in zip(channels, plans, strict=True)]
+    writer, reader, wanted = pairs[0][1].writer(), pairs[0][0].reader(), codec.encode(_record(codec, 1.0))
+    waiting: list[int] = []
+
+    class Adds:
+        def __init__(self) -> None:
+            self.itself = self
+
+        def __del__(self) -> None:
+            if waiting:
+                group.add_reader(*others[waiting.pop()])
+
+    threshold = gc.get_threshold()
+    try:
+        for _ in range(5):
+            group = _native.Group()
+            group.add_reader(reader, codec.plan, 1)
+            kept = [(number,) * 7 for number in range(3000)]  # more than Python has ready
+            waiting[:] = reversed(range(len(others)))
+            writer.publish(_record(codec, 1.0))
+            Adds()
+            gc.set_threshold(1)
+            messages, faults = group.take()
+            gc.set_threshold(*threshold)
+            gc.collect()
+            assert ([message[1] for message in messages], faults) == ([wanted], [])
+            assert len(waiting) < len(others)
+            assert len(kept) == 3000
+            waiting.clear()
+    finally:
+        gc.set_threshold(*threshold)
+        for channel in channels:
+            channel.close()
