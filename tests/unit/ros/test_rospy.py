@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import socket
 import threading
+from collections.abc import Callable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
@@ -199,7 +201,7 @@ def node(**more: Any) -> Any:
     """Return what stands for the backend."""
     members = {"node": "/node", "clock": SYSTEM, "turn": threading.RLock(), "wake": lambda: None}
     found = {"diagnose": lambda _: ("", ""), "forget": lambda _: None, "usable": lambda: None}
-    return SimpleNamespace(**members, **found, **more)
+    return SimpleNamespace(**{**members, **found, **more})
 
 
 def test_messages_beyond_the_depth_give_way_and_are_counted() -> None:
@@ -253,6 +255,61 @@ def test_messages_go_into_the_sink_of_an_only_subscription(monkeypatch: pytest.M
     assert (incoming.matched(), outgoing.matched()) == (0, 0)
     for connections in (inbound, outbound):
         connections.close()
+
+
+def without_threads(name: str) -> Callable[[], None]:
+    """Let threads of a name not start, as where a container allows no more; return what lets them again."""
+    start, patch = threading.Thread.start, pytest.MonkeyPatch()
+
+    def refuse(thread: threading.Thread) -> None:
+        if thread.name == name:
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    patch.setattr(threading.Thread, "start", refuse)
+    return patch.undo
+
+
+def test_without_a_thread_a_caller_is_turned_away() -> None:
+    """The node goes on listening, and serves the next one."""
+    node: Any = open_backend("rospy", NOETIC, "cell", environment=nowhere())
+    place = ("127.0.0.1", node._servers.data.port)
+    try:
+        for threads in (False, True):
+            undo = (lambda: None) if threads else without_threads("rosplc-serve")
+            try:
+                with socket.create_connection(place, 10) as caller:
+                    caller.sendall(handshake.encode_header({"topic": "/a", "md5sum": "*", "callerid": "/c"}))
+                    if threads:
+                        assert "not published" in handshake.read_header(caller, 10)["error"]
+                    else:
+                        with suppress(ConnectionResetError):
+                            assert caller.recv(1) == b""
+            finally:
+                undo()
+    finally:
+        node.close()
+
+
+def test_without_a_thread_a_publisher_is_connected_to_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The connection counts as one that failed, and is made again after the usual pause."""
+    clock = SteppedClock()
+    ours = node(clock=clock, connecting=threading.BoundedSemaphore(1))
+    incoming = Incoming(ours, "/t", DEFINITION)
+    incoming.publishers = ("http://localhost:1",)
+    asked = threading.Event()
+    monkeypatch.setattr(topics, "request", lambda *_: asked.set() or ("127.0.0.1", free_port()))
+    undo = without_threads("rosplc-/t")
+    try:
+        incoming.update()
+    finally:
+        undo()
+    assert [link.ended for link in incoming.links()] == [True]
+    clock.advance(2.0)
+    incoming.update()
+    assert asked.wait(10)
+    for link in incoming.close():
+        link.join()
 
 
 @pytest.mark.parametrize("what", ["close", "subscribe"])

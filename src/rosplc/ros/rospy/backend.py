@@ -204,10 +204,8 @@ class RospyBackend(BaseNode):
         with self._lock:
             if kind.serves:
                 endpoint = kind(*receiver, self, *self._resolve(topic, type_name), qos)
-                if (
-                    kind is RospyServer
-                    and self._topics.setdefault(("serve", endpoint.topic), endpoint) is not endpoint
-                ):
+                key = ("serve", endpoint.topic)
+                if kind is RospyServer and self._topics.setdefault(key, endpoint) is not endpoint:
                     what = f"{self.node} serves {endpoint.topic} already"
                     raise BackendError("ROS002", what, remedy="A service of ROS 1 has one server.")
             else:

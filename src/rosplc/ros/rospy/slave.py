@@ -126,11 +126,14 @@ class _Listener:
                 if not self._closing:
                     self._clock.sleep(100_000_000)
                 continue
-            if len(self._open) >= self._most:
-                sock.close()
-                continue
+            thread = threading.Thread(target=self._work, args=(sock,), name="rosplc-serve", daemon=True)
             self._open.add(sock)
-            threading.Thread(target=self._work, args=(sock,), name="rosplc-serve", daemon=True).start()
+            with contextlib.suppress(RuntimeError):  # out of threads
+                if len(self._open) <= self._most:
+                    thread.start()
+                    continue
+            self._open.discard(sock)
+            sock.close()
 
     def _work(self, sock: socket.socket) -> None:
         try:

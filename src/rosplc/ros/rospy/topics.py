@@ -50,9 +50,8 @@ def greet(
     place: tuple[str, int], caller: str, topic: str, definition: handshake.Definition
 ) -> tuple[socket.socket, dict[str, str]]:
     """Connect as a subscriber; return the connection and the header. Raises OSError, HandshakeError."""
-    return handshake.connect(
-        place, {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()}
-    )
+    fields = {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()}
+    return handshake.connect(place, fields)
 
 
 class Connections:
@@ -110,7 +109,10 @@ class Link:
 
     def start(self) -> None:
         """Begin to connect."""
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError:  # out of threads
+            self.end()
 
     def close(self) -> None:
         """Disconnect."""
@@ -254,9 +256,8 @@ class Incoming(handshake.Topic):
     def register(self, master: Master) -> None:
         """Tell the master of the topic, and take in who publishes it."""
         named = super().register(master)
-        self.publishers = (
-            tuple(uri for uri in named if isinstance(uri, str)) if isinstance(named, list) else ()
-        )
+        uris = named if isinstance(named, list) else []
+        self.publishers = tuple(uri for uri in uris if isinstance(uri, str))
 
     def update(self) -> None:
         """Connect to every publisher that the master names, and leave those that it no longer names."""
@@ -318,11 +319,8 @@ class RospySubscription(BaseSubscription):
 
     def receive(self, batch: list[bytes], stamp_ns: int) -> None:
         """Take messages that arrived together, the newest ``depth``; the backend's turn is held."""
-        late = len(batch) - self.qos.depth
-        if late > 0:
-            self._dropped += late
-            batch = batch[late:]
-        for payload in batch:
+        self._dropped += max(0, len(batch) - self.qos.depth)
+        for payload in batch[-self.qos.depth :]:
             if self.closed:
                 return
             self._deliver(payload, stamp_ns)
