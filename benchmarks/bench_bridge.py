@@ -55,9 +55,12 @@ def load_config(
     ros: str = "{backend: dds, distro: jazzy}",
     more: Sequence[str] = (),
     outs: int | None = None,
+    queue: int = 5000,
 ) -> str:
     """Return a configuration with as many topics in each direction, or ``outs`` towards ROS."""
-    common = f"type: {TYPE}, limits: {{string: {STRING}}}, slots: {depth}, every: true, qos: {{depth: 5000}}"
+    common = (
+        f"type: {TYPE}, limits: {{string: {STRING}}}, slots: {depth}, every: true, qos: {{depth: {queue}}}"
+    )
     lines = [f"bridge: {prefix}", f"prefix: {prefix}", f"ros: {ros}"]
     lines += [f"tasks: {{RosTask: {{interval: {cycle}}}}}", "topics:"]
     lines += [f"  {topic}: {{to: plc, {common}}}" for topic in names("in", topics)]

@@ -1,11 +1,12 @@
 """What rosplc takes to begin and to be there: `rosplc --help`, the first message, the bridge's memory.
 
-usage: python -m benchmarks.bench_start [--rounds N] [--seconds N] [--json]
+usage: python -m benchmarks.bench_start [--rounds N] [--seconds N] [--queue N] [--json]
 
 In every round: the processor's time of `rosplc --help` and of an empty typer program's; then a bridge with
 20 topics over DDS, ten each way, and one more whose message is latched before the bridge is started: how long
 until the PLC finds that. After 60 s of traffic (--seconds) its memory is read beside that of Python
-with a cyclonedds participant in the same domain: PSS, in which what processes share counts by halves.
+with a cyclonedds participant in the same domain: PSS, in which what processes share counts by halves. Cyclone
+DDS fills the queue of a topic above 60 Hz, though every message arrives: --queue is its length.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, open_backend
 
 LOAD = (10, 200)  # topics each way, rate in Hz
+QUEUE = 1000  # messages: rosplc's default
 FIRST = "/first"
 EMPTY = """
 import typer
@@ -82,7 +84,7 @@ def participant(domain: int) -> Iterator[int]:
         process.communicate()
 
 
-def carried(topics: int, rate: int, seconds: float) -> dict[str, float]:
+def carried(topics: int, rate: int, seconds: float, queue: int = QUEUE) -> dict[str, float]:
     """Start a bridge; return the seconds to its first message, and the memory after traffic, in MB."""
     prefix = f"bench-{secrets.token_hex(4)}"
     store = TypeStore.bundled("jazzy")
@@ -91,7 +93,7 @@ def carried(topics: int, rate: int, seconds: float) -> dict[str, float]:
         source = open_backend("dds", store, "source", domain=domain, environment=environment(domain))
         source.advertise(FIRST, TYPE, PRESETS["latched"]).write(message)
         topic = f"  {FIRST}: {{to: plc, latched: true, type: {TYPE}, limits: {{string: {STRING}}}}}"
-        text = load_config(prefix, topics, depth=64, more=[topic])
+        text = load_config(prefix, topics, depth=64, more=[topic], queue=queue)
         began = time.monotonic()
         with bridge(Path(folder), text, domain) as process:
             with attach(FIRST, prefix=prefix, latched=True) as channel:
@@ -112,8 +114,17 @@ def carried(topics: int, rate: int, seconds: float) -> dict[str, float]:
                 return found | {"bridge": pss_mb(process.pid), "participant": pss_mb(bare)}
 
 
-def run(rounds: int, seconds: float = 60.0, load: tuple[int, int] = LOAD) -> dict[str, Any]:
-    """Measure in ``rounds`` rounds; returns a :func:`measure.report`. ``load``: topics each way, rate."""
+def run(
+    rounds: int, seconds: float = 60.0, load: tuple[int, int] = LOAD, queue: int = QUEUE
+) -> dict[str, Any]:
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`.
+
+    Args:
+        rounds: How often.
+        seconds: How long messages pass before memory is read.
+        load: Topics each way, rate in Hz.
+        queue: Messages that a topic's queue in DDS holds.
+    """
     before = measure.environment()
     found: dict[str, list[float]] = {}
     for number in range(rounds):
@@ -122,7 +133,7 @@ def run(rounds: int, seconds: float = 60.0, load: tuple[int, int] = LOAD) -> dic
             "empty": processor_ms("-c", EMPTY, "--help"),
             "help": processor_ms("-m", "rosplc", "--help"),
         }
-        for name, value in (helped | carried(*load, seconds)).items():
+        for name, value in (helped | carried(*load, seconds, queue)).items():
             found.setdefault(name, []).append(value)
     rows = []
     for unit, mine, anchor in (
@@ -144,8 +155,10 @@ def run(rounds: int, seconds: float = 60.0, load: tuple[int, int] = LOAD) -> dic
         )
     rows.append(measure.row("start to first message, s", found["first"]))
     waiting = "a PLC polls every 2 ms for the first message, then scans every 1 ms"
-    return measure.report([measure.table(f"{2 * load[0]} topics", "as named", waiting, rows)], before)
+    return measure.report(
+        [measure.table(f"{2 * load[0]} topics, queues of {queue}", "as named", waiting, rows)], before
+    )
 
 
 if __name__ == "__main__":
-    measure.main(run, __doc__, 9, seconds=60.0)
+    measure.main(run, __doc__, 9, seconds=60.0, queue=QUEUE)
