@@ -7,6 +7,8 @@
 #include "py_type.h"
 #include "sink.h"
 
+enum { SINK_LONG = 256 * 1024 }; /* bytes from which on a copy releases the GIL: below, that costs more than it gives */
+
 /* The head of every object that is a sink. */
 typedef struct {
     PyObject_HEAD
@@ -94,6 +96,21 @@ static PyObject *sink_last_ns(SinkObject *self, void *unused)
 {
     (void)unused;
     return PyLong_FromLongLong(sink_look(self).last_ns);
+}
+
+/* A message for Python. Other threads go on while a long one is copied, which has to stay in its place meanwhile. */
+static inline PyObject *sink_bytes(const void *message, size_t size)
+{
+    PyObject *bytes = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)size);
+    char *to = bytes ? PyBytes_AsString(bytes) : NULL;
+    if (to && size < SINK_LONG) {
+        memcpy(to, message, size);
+    } else if (to) {
+        Py_BEGIN_ALLOW_THREADS;
+        memcpy(to, message, size);
+        Py_END_ALLOW_THREADS;
+    }
+    return bytes;
 }
 
 /* What is in the tables of the types. */

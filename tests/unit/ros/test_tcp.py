@@ -266,6 +266,52 @@ def test_messages_pass_between_channels_and_connections(shm_namespace: Namespace
     assert outlet.messages == 4
 
 
+_LONG_MESSAGE = """
+import os, socket, threading, time
+from rosplc.ros.rospy._tcp import Loop
+
+SIZE = 64 << 20
+stream = SIZE.to_bytes(4, "little") + bytes(SIZE)
+
+def memory():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+def look():
+    while not ending.is_set():
+        seen.append(memory())
+        time.sleep(0.0005)
+
+for _ in range(20):
+    loop, seen, ending = Loop(1 << 30), [], threading.Event()
+    ours, theirs = socket.socketpair()
+    loop.receive(ours.fileno(), None, None)
+    before = memory()
+    threads = [threading.Thread(target=look), threading.Thread(target=theirs.sendall, args=(stream,))]
+    for thread in threads:
+        thread.start()
+    while not (came := loop.wait()):
+        pass
+    ending.set()
+    for thread in threads:
+        thread.join()
+    assert len(came[0][1][0]) == SIZE
+    came = None
+    loop.remove(ours.fileno())
+    if any(5 * SIZE < 4 * (each - before) < 7 * SIZE for each in seen):
+        print("seen")
+        break
+"""
+
+
+def test_other_threads_go_on_while_a_long_message_is_copied() -> None:
+    """One sees the process with the message as it was received and a part of the copy for Python."""
+    done = subprocess.run(
+        [sys.executable, "-c", _LONG_MESSAGE], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.stdout == "seen\n", done.stderr
+
+
 _SHORT_OF_MEMORY = """
 import resource, socket, threading
 from rosplc.ros.rospy._tcp import Loop

@@ -238,10 +238,9 @@ static PyObject *inlet_left(InletObject *self)
     PyObject *list = PyList_New(0);
     for (int i = 0; i < self->left_count; i++) {
         Left *one = &self->left[i];
-        PyObject *item = NULL;
-        if (list)
-            item = Py_BuildValue("(ny#L)", (Py_ssize_t)one->key, (const char *)one->message.bytes.iov_base,
-                                 (Py_ssize_t)one->message.bytes.iov_len, (long long)one->message.stamp_ns);
+        PyObject *item = list ? sink_bytes(one->message.bytes.iov_base, one->message.bytes.iov_len) : NULL;
+        if (item)
+            item = Py_BuildValue("(nNL)", (Py_ssize_t)one->key, item, (long long)one->message.stamp_ns);
         if (list && (!item || PyList_Append(list, item)))
             Py_CLEAR(list);
         Py_XDECREF(item);

@@ -514,7 +514,7 @@ static PyObject *news_of(LoopObject *self, int fd)
     messages = PyList_New(0);
     for (size_t at = 0; messages && at < whole;) {
         size_t length = bytes[at] | (size_t)bytes[at + 1] << 8 | (size_t)bytes[at + 2] << 16 | (size_t)bytes[at + 3] << 24;
-        PyObject *one = PyBytes_FromStringAndSize((const char *)bytes + at + 4, (Py_ssize_t)length);
+        PyObject *one = sink_bytes(bytes + at + 4, length);
         if (!one || PyList_Append(messages, one))
             Py_CLEAR(messages);
         Py_XDECREF(one);
