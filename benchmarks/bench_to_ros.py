@@ -14,6 +14,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import random
+import resource
 import secrets
 import shutil
 import statistics
@@ -28,12 +29,18 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import measure
-from benchmarks.bench_bridge import load_config
+from benchmarks.bench_bridge import TYPE, load_config
 from benchmarks.bench_dds import interval
 from benchmarks.processes import bridge, ros_domain
 from rosplc.cli import main as rosplc
+from rosplc.codec import Codec
+from rosplc.demo.processes import remove_objects
+from rosplc.layout import compute_layout
+from rosplc.model import TypeStore
+from rosplc.shm import Direction, Group, Namespace
 from rosplc_bench.compiling import CORE, FLAGS, SOURCES
 from rosplc_bench.process import Side, cpu_clock
+from tests.lib.channels import open_channel
 
 HERE = Path(__file__).resolve().parent
 MODES = ("fixed grid", "predicting")
@@ -225,6 +232,36 @@ def shares(carrier: Carrier, rounds: int, seconds: float) -> list[float]:
     return found
 
 
+def heads(sizes: Sequence[int], rounds: int, seconds: float, plc: Path) -> dict[str, Any]:
+    """Return the table of looks at the heads of quiet objects alone, one per tick, while a PLC scans."""
+    rows, before = [], None
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    for number in sizes:
+        space, group = Namespace(f"bench-{secrets.token_hex(4)}"), Group()
+        codec = Codec(compute_layout(TypeStore.bundled("jazzy"), TYPE))
+        found = []
+        with ExitStack() as stack:
+            stack.callback(remove_objects, space.prefix)
+            for count in range(number):
+                shape = {"topic": f"/t{count}", "record_size": codec.layout.size, "slots": 64}
+                own = open_channel(space, Direction.TO_ROS, **shape)
+                group.add_reader(stack.enter_context(own).reader(), codec.plan)
+            paths = [str(space.path(f"/t{count}")) for count in range(number)]
+            stack.enter_context(scanning(plc, [str(10 * MS), "0", "0", "0", *paths]))
+            group.wait(MS, round(seconds * 1e9))
+            for _ in range(rounds):
+                began = time.thread_time_ns()
+                group.wait(MS, round(seconds * 1e9))
+                found.append((time.thread_time_ns() - began) / seconds / 1e6)
+        cost = statistics.median(found)
+        more = {} if before is None else {"ns/head": 1e3 * (cost - before[1]) / (number - before[0])}
+        before = (number, cost)
+        rows.append(measure.row(f"{number} heads", found, **more))
+    waiting = "the thread sleeps 1 ms between two looks; the PLC scans every 10 ms and beats on every line"
+    return measure.table("A tick: wake up, look at all heads", "µs of processor", waiting, rows)
+
+
 def active(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, Any]:
     """Return the table of topics at 10 Hz; a PLC writes a tenth of them in each scan of 10 ms."""
     rows, before = [], None
@@ -262,6 +299,7 @@ def run(
         programs = compile_all(Path(folder))
         tables = latencies(rounds, times, *programs)
         tables.append(quiet(still, rounds, times[1], *programs))
+        tables.append(heads(still, rounds, times[1], programs[0]))
         tables.append(active(busy, rounds, times[1], *programs))
     return measure.report(tables, before)
 

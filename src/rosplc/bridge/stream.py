@@ -32,6 +32,8 @@ class Stream(Notes, ABC):
 
     substituting = False  # whether something else is passed on in the source's place
     _unsent: hold.Unsent | None = None
+    _known: tuple[tuple[Any, ...], TopicStatus | None] = ((), None)  # what the last status was made of
+    _looked_ns = 0
 
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         super().__init__(plan, context)
@@ -47,7 +49,6 @@ class Stream(Notes, ABC):
         self._lost_before = 0
         self._rate = 0.0
         self._rate_from: tuple[int, int] = (now, 0)
-        self._known: tuple[tuple[Any, ...], TopicStatus | None, int] = ((), None, 0)  # and when it was seen
         stages: list[Stage] = []
         if plan.on_change:
             stages.append(hold.OnChange(self._key))
@@ -190,8 +191,8 @@ class Stream(Notes, ABC):
 
     def status(self, now_ns: int, within_ns: int = 0) -> TopicStatus:
         """Return the stream's present state, or as it was seen within a time; without an age one object."""
-        _, status, looked_ns = self._known
-        if status is None or now_ns - looked_ns >= within_ns:
+        _, status = self._known
+        if status is None or now_ns - self._looked_ns >= within_ns:
             _, status = self._look(now_ns)
         if (age_ns := self.silence.age_ns(now_ns)) is None:
             return status
@@ -207,9 +208,8 @@ class Stream(Notes, ABC):
         skipped, substituting, noted = self.hold.skipped, self.substituting, self.noted(now_ns, endpoint)
         states = rate, stale, silent, substituting, silence.last_ns is None
         basis = endpoint, port, *states, *noted.values(), passed, truncated, skipped, *counters.values()
-        before, status, _ = self._known
+        (before, status), self._looked_ns = self._known, now_ns
         if basis == before and status is not None:
-            self._known = basis, status, now_ns
             return endpoint, status
         found = vars(port) | counters | noted | {"lost": self.counters.lost + port.lost}
         for name, more in (("received", passed), ("published", passed), ("truncated", truncated)):
@@ -223,7 +223,7 @@ class Stream(Notes, ABC):
         found |= {"topic": plan.topic, "type_name": plan.type_name, "direction": plan.direction}
         found |= {"rate_hz": rate, "stale": stale, "silent": silent, "substituting": substituting}
         status = TopicStatus(**found)
-        self._known = basis, status, now_ns
+        self._known = basis, status
         return endpoint, status
 
 
