@@ -523,6 +523,7 @@ static PyObject *group_beat(GroupObject *self, PyObject *unused)
 /* Beats for a Reader or a Writer that still can, or for a tuple of them. -1 with TypeError for another object. */
 static int beat_one(PyObject *user)
 {
+    int failed = 0;
     if (Py_TYPE(user) == ch_writer_type) {
         WriterObject *writer = (WriterObject *)user;
         if (!writer->owner->closed && !writer->released)
@@ -531,14 +532,16 @@ static int beat_one(PyObject *user)
         if (!((ReaderObject *)user)->owner->closed)
             rosplc_reader_beat(&((ReaderObject *)user)->reader);
     } else if (PyTuple_Check(user)) {
-        for (Py_ssize_t i = 0; i < PyTuple_Size(user); i++)
-            if (beat_one(PyTuple_GetItem(user, i)))
-                return -1;
+        if (Py_EnterRecursiveCall(" in beat()"))
+            return -1;
+        for (Py_ssize_t i = 0; !failed && i < PyTuple_Size(user); i++)
+            failed = beat_one(PyTuple_GetItem(user, i));
+        Py_LeaveRecursiveCall();
     } else if (user != Py_None) {
         PyErr_SetString(PyExc_TypeError, "readers and writers beat");
         return -1;
     }
-    return 0;
+    return failed;
 }
 
 static PyObject *beat_all(PyObject *module, PyObject *users)

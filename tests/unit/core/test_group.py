@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -237,6 +238,11 @@ def test_all_beat_in_one_call(pairs: list[_Pair], codec: Codec) -> None:
     for wrong in ([1], [(users[2][0], "x")], [pairs[2][0].region], users[2], None):
         with pytest.raises(TypeError):
             _native.beat(wrong)  # type: ignore[arg-type]
+    nested: Any = ()
+    for _ in range(1_000_000):
+        nested = (nested,)
+    with pytest.raises(RecursionError):
+        _native.beat([nested])
 
 
 def test_closed_channels_are_quiet(pairs: list[_Pair], codec: Codec) -> None:
