@@ -63,6 +63,6 @@ def _wait_for_silence(attached: Attached, topic: str) -> None:
         if (now.epoch, now.beat, now.head) != (first.epoch, first.beat, first.head):
             who = f"process {now.pid}" if now.pid else "a PLC program"
             raise ChannelError(
-                "SHM114", f"{who} writes it, and is alive", where=topic, remedy="Stop that program first."
+                "SHM114", f"{who} is still writing to it", where=topic, remedy="Stop that program first."
             )
         time.sleep(_LOOK_S)

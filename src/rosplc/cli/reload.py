@@ -41,10 +41,10 @@ def command(
     if not pids:
         raise ChannelError(
             "SHM101",
-            f"no bridge with the prefix {prefix} runs on this machine",
+            f"no bridge with the prefix {prefix} is running on this machine",
             where=directory,
-            remedy="Start it with `rosplc run`; `rosplc status` lists the bridges of this machine. One in a "
-            "container is reloaded inside that container.",
+            remedy="Start it with `rosplc run`; `rosplc status` lists the bridges of this machine. Reload "
+            "a bridge in a container from inside that container.",
         )
     for pid in pids:
         try:

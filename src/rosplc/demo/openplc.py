@@ -34,10 +34,10 @@ def find_openplc() -> tuple[Path, Path]:
         if not (Path(os.environ.get(variable) or "/nowhere") / file).is_file():
             raise SetupError(
                 "SYS001",
-                f"{variable} does not name a folder with {file}",
+                f"{variable} is not set to a folder that contains {file}",
                 where=os.environ.get(variable, ""),
-                remedy="Build OpenPLC Runtime 4.1 and STruC++ as docs/tutorial/openplc.md says, and let "
-                "ROSPLC_OPENPLC and ROSPLC_STRUCPP name their folders.",
+                remedy="Build OpenPLC Runtime 4.1 and STruC++ as described in docs/tutorial/openplc.md, "
+                "and set ROSPLC_OPENPLC and ROSPLC_STRUCPP to their folders.",
             )
     for program, package in (("node", "nodejs"), ("g++", "g++"), ("make", "make")):
         if shutil.which(program) is None:

@@ -63,13 +63,13 @@ class RecordedRobot:
             if (wanted == ROS1) != (self._bag.ros_version == 1):
                 raise BackendError(
                     "ROS001",
-                    f"the recording is of ROS {self._bag.ros_version}, and {wanted} is not",
+                    f"the recording is from ROS {self._bag.ros_version}; {wanted} is another ROS version",
                     where=str(self._bag.path),
-                    remedy="Leave --distro out, or name a distribution of that ROS.",
+                    remedy="Leave --distro out, or name a distribution of that ROS version.",
                 )
             return wanted, "as asked for"
         if self._bag.ros_version == 1:
-            return ROS1, "the recording is of ROS 1"
+            return ROS1, "the recording is from ROS 1"
         if self._bag.distro in DISTROS:
             return self._bag.distro, "the recording names it"
         if self._carried_distro in DISTROS and self._carried_distro != ROS1:

@@ -399,7 +399,7 @@ def _check_types(both: Mapping[shm.Part, _Object]) -> None:
     for part, own in types.items():
         if own != f"{name}_{part.word.capitalize()}":
             raise ChannelError(
-                "SHM113", f"{own} is no {part.word} of {name}", where=str(both[part].attached.path)
+                "SHM113", f"{own} is not the {part.word} type of {name}", where=str(both[part].attached.path)
             )
 
 

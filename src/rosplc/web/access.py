@@ -179,7 +179,7 @@ def _check(settings: Settings, request: web.Request) -> None:
     foreign = origin is not None and wrong_origin(origin, host)
     fetched_by = request.headers.get("Sec-Fetch-Site", "none")
     if foreign or (request.path.startswith("/api/") and fetched_by not in ("same-origin", "none")):
-        raise WebError("WEB004", f"the request comes from the page of {(origin or 'another site')[:80]!r}")
+        raise WebError("WEB004", f"request from another site's page, origin {(origin or 'unknown')[:80]!r}")
     # The page itself says nothing; what it shows comes from /api/. A WebSocket brings its token as its
     # first message, since a page cannot give it a header.
     if settings.token_to_view and request.path.startswith("/api/") and request.path != "/api/live":
