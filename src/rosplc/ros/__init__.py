@@ -71,7 +71,7 @@ def open_backend(
     refuses, ROS005 if a name breaks a rule.
     """
     if name != "auto" and name not in BACKENDS:
-        raise BackendError("ROS001", f"there is no backend {name!r}; there are: auto, {', '.join(BACKENDS)}")
+        raise BackendError("ROS001", f"unknown backend {name!r}; known: auto, {', '.join(BACKENDS)}")
     if name == "auto":
         name = choose(store.distro, environment, zenoh_settings=bool(options)).name
     try:

@@ -18,7 +18,7 @@ STORE = TypeStore.bundled("jazzy")
 def test_unknown_backend_is_refused() -> None:
     """A name that is not a backend is refused, with those that are."""
     with pytest.raises(
-        BackendError, match=r"no backend 'ddz'; there are: auto, dds, rclpy, zenoh, rospy, memory.*ROS001"
+        BackendError, match=r"unknown backend 'ddz'; known: auto, dds, rclpy, zenoh, rospy, memory.*ROS001"
     ):
         open_backend("ddz", STORE, "node")
 

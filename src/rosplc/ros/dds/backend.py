@@ -129,7 +129,7 @@ def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") 
     )
     users = environment.get("CYCLONEDDS_URI", "").strip()
     if not users.isascii():
-        raise BackendError("ROS010", "CYCLONEDDS_URI has characters beyond ASCII", where="CYCLONEDDS_URI")
+        raise BackendError("ROS010", "CYCLONEDDS_URI contains non-ASCII characters", where="CYCLONEDDS_URI")
     return f"{own},{users}" if users else own
 
 
