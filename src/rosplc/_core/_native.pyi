@@ -95,11 +95,22 @@ class Region:
         """Store one control word. Raises SHM122 if mapped read-only."""
     def read(self, offset: int, size: int, /) -> bytes:
         """Copy bytes of a constant part."""
-    def held(self, path: bytes, lock: bytes, fd: int, device: int, inode: int, identity: bytes, /) -> bool:
+    def held(
+        self,
+        path: bytes,
+        lock: bytes,
+        fd: int,
+        device: int,
+        inode: int,
+        lock_device: int,
+        lock_inode: int,
+        identity: bytes,
+        /,
+    ) -> bool:
         """Note on a lock file that it is held; return whether names lead to it and to this object.
 
-        ``path`` and ``lock`` are the names, ``fd`` is the open lock file, ``device`` and ``inode`` are the
-        object's; it has to begin with the bytes ``identity``. Raises OSError if the lock file takes no time.
+        ``path`` and ``lock`` are the names, ``fd`` is the open lock file, the numbers are those of object and
+        lock file; the object has to begin with ``identity``. Raises OSError if the lock file takes no time.
         """
     def check(self) -> None:
         """Raise SHM111 or SHM112 if the object is no longer the one that was attached."""

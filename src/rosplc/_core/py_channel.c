@@ -358,27 +358,23 @@ static PyObject *region_check(RegionObject *self, PyObject *unused)
     return error ? ch_raise_channel(error, self->path) : Py_NewRef(Py_None);
 }
 
-static int same_file(const struct stat *a, const struct stat *b)
-{
-    return a->st_dev == b->st_dev && a->st_ino == b->st_ino;
-}
-
 /* One call for what a bridge looks at each second for each object. */
 static PyObject *region_held(RegionObject *self, PyObject *args)
 {
     const char *path, *lock, *identity;
-    unsigned long long device, inode;
+    unsigned long long device, inode, lock_device, lock_inode;
     Py_ssize_t size;
     int fd;
-    struct stat named, locked, held;
-    if (!PyArg_ParseTuple(args, "yyiKKy#:held", &path, &lock, &fd, &device, &inode, &identity, &size)
+    struct stat named, locked;
+    if (!PyArg_ParseTuple(args, "yyiKKKKy#:held", &path, &lock, &fd, &device, &inode, &lock_device, &lock_inode,
+                          &identity, &size)
         || ch_region_usable(self))
         return NULL;
     if (futimens(fd, NULL))
         return PyErr_SetFromErrno(PyExc_OSError);
     /* First the size: looking at an object that was cut to nothing is deadly. */
     return PyBool_FromLong(!lstat(path, &named) && named.st_dev == device && named.st_ino == inode
-                           && !fstat(fd, &held) && !lstat(lock, &locked) && same_file(&held, &locked)
+                           && !lstat(lock, &locked) && locked.st_dev == lock_device && locked.st_ino == lock_inode
                            && (uint64_t)named.st_size >= self->mapped && (size_t)size <= self->mapped
                            && !memcmp(self->region.header, identity, (size_t)size));
 }
@@ -417,7 +413,7 @@ static PyMethodDef region_methods[] = {
     {"store", (PyCFunction)region_store, METH_VARARGS, "store(offset, value): one 32-bit store."},
     {"read", (PyCFunction)region_read, METH_VARARGS, "read(offset, size) -> bytes; constant parts only."},
     {"held", (PyCFunction)region_held, METH_VARARGS,
-     "held(path, lock, fd, device, inode, identity) -> whether they lead to the object and the lock that fd holds."},
+     "held(path, lock, fd, device, inode, lock_device, lock_inode, identity) -> whether they lead to object and lock."},
     {"check", (PyCFunction)region_check, METH_NOARGS, "Raise SHM111 or SHM112 if the object is no longer LIVE."},
     {"close", (PyCFunction)region_close, METH_NOARGS, "Unmap; later calls raise ValueError."},
     {NULL, NULL, 0, NULL},

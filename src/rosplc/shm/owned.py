@@ -46,7 +46,9 @@ class OwnedChannel(Mapped):
         # for how long no process held the name before this one, ns, as far as the lock file tells
         self.unowned_ns = found.lock.unheld_ns
         self._lock = found.lock
-        self._names = os.fsencode(found.path), os.fsencode(found.lock.path)
+        names, lock = (os.fsencode(found.path), os.fsencode(found.lock.path)), os.fstat(found.lock.fd)
+        numbers = found.lock.fd, *self._file, lock.st_dev, lock.st_ino
+        self._held = *names, *numbers, self._first[: spec.IDENTITY_SIZE]
         _owned.add(self)
 
     @classmethod
@@ -163,8 +165,7 @@ class OwnedChannel(Mapped):
         If not, close this one and open the name again. To be called about once a second: it also notes, for
         the next owner, that the name is held.
         """
-        fd = self._lock.fd
-        return fd >= 0 and self.region.held(*self._names, fd, *self._file, self._first[: spec.IDENTITY_SIZE])
+        return self._lock.fd >= 0 and self.region.held(*self._held)
 
     def retire(self) -> None:
         """Tell every process that has the object mapped to leave it, remove its name, and close."""
