@@ -24,6 +24,7 @@ from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import EndpointStatus, Qos
 from rosplc.ros._base import BaseEndpoint
 from rosplc.ros.dds import backend as domain_module
+from rosplc.ros.dds import native
 from rosplc.ros.dds.backend import check_peers, domain_config, domain_id
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
 from rosplc.ros.dds.peers import (
@@ -332,6 +333,31 @@ def test_a_status_that_is_kept_is_what_would_be_found(graph: Graph) -> None:
         seen(lambda status: status.matched == 0)
     seen(lambda status: status.reason == "no node publishes /in")
     seen(lambda status: status.reason == "no node subscribes to /out")
+
+
+def test_a_change_is_told_once_by_the_library(graph: Graph) -> None:
+    """A peer that has come or gone is a change once; an endpoint that is no more has always changed."""
+    publisher = graph.node("node").advertise("/out", STRING, Qos())
+    changed = native.changes(publisher.ref, "out")
+    assert not changed()
+    other = graph.node("other").subscribe("/out", STRING, Qos(), lambda *_: None)
+    wait_for(changed)
+    assert publisher.matched
+    assert not changed()
+    assert publisher.status() is publisher.status()
+    other.close()
+    wait_for(changed)
+    assert not publisher.matched
+    publisher.close()
+    assert changed()
+    assert changed()
+
+
+def test_without_the_library_anything_may_have_changed() -> None:
+    """A process that uses no batches asks for each status."""
+    program = "from rosplc.ros.dds import _batch; print(_batch.changed(1, 1))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
 
 
 def test_big_endian_arrives_as_little_endian(graph: Graph) -> None:

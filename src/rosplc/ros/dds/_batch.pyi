@@ -41,3 +41,9 @@ class Outlet:
 
 def load(path: str, /) -> None:
     """Use this library, which is loaded already. Raises OSError where it lacks a function."""
+
+def changed(entity: int, mask: int, /) -> bool:
+    """Return whether one of an endpoint's statuses may have changed since this was last asked.
+
+    True without :func:`load`, and for an endpoint that is no more.
+    """

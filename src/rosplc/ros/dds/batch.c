@@ -39,6 +39,7 @@ static struct {
     int32_t (*waitset_wait)(int32_t waitset, intptr_t *keys, size_t room, int64_t timeout_ns);
     int32_t (*take)(int32_t reader, uint32_t most, uint64_t instance, uint32_t mask, collector, void *);
     int32_t (*write_ts)(int32_t writer, const void *sample, int64_t stamp_ns);
+    int32_t (*take_status)(int32_t entity, uint32_t *status, uint32_t mask);
     uint32_t (*size)(const ddsi_serdata *);
     ddsi_serdata *(*ref)(const ddsi_serdata *, size_t at, size_t size, struct iovec *);
     void (*unref)(ddsi_serdata *, const struct iovec *);
@@ -53,6 +54,7 @@ static PyObject *batch_load(PyObject *module, PyObject *args)
         {"dds_waitset_wait", &dds.waitset_wait},
         {"dds_take_with_collector", &dds.take},
         {"dds_write_ts", &dds.write_ts},
+        {"dds_take_status", &dds.take_status},
         {"ddsi_serdata_size", &dds.size},
         {"ddsi_serdata_to_ser_ref", &dds.ref},
         {"ddsi_serdata_to_ser_unref", &dds.unref},
@@ -408,7 +410,26 @@ static int exec_module(PyObject *module)
                : 0;
 }
 
+/* Without the library, or with an error of its, anything may have changed. */
+static PyObject *batch_changed(PyObject *module, PyObject *args)
+{
+    int entity, code = -1;
+    unsigned mask;
+    uint32_t flags = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "iI:changed", &entity, &mask))
+        return NULL;
+    if (dds.take_status) {
+        Py_BEGIN_ALLOW_THREADS;
+        code = dds.take_status(entity, &flags, mask);
+        Py_END_ALLOW_THREADS;
+    }
+    return PyBool_FromLong(code || flags);
+}
+
 static PyMethodDef functions[] = {
+    {"changed", (PyCFunction)batch_changed, METH_VARARGS,
+     "changed(entity, mask) -> whether one of these statuses may have changed since this was last called."},
     {"load", batch_load, METH_VARARGS, "load(path): use this library, which is loaded already. Raises OSError."},
     {NULL, NULL, 0, NULL},
 };

@@ -14,13 +14,14 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 from cyclonedds.core import DDSException, DDSStatus, Entity, InstanceState, SampleState, ViewState
 from cyclonedds.internal import DDS, dds_c_t
 
 from rosplc.errors import BackendError
-from rosplc.ros.dds._batch import Inlet
+from rosplc.ros.dds._batch import Inlet, changed
 
 ANY_STATE: int = int(SampleState.Any | ViewState.Any | InstanceState.Any)
 RETCODE_TIMEOUT: int = DDSException.DDS_RETCODE_TIMEOUT
@@ -57,7 +58,6 @@ offered_deadline_missed = _status("offered_deadline_missed")
 # How many of a reader's matched writers have kept to their lease.
 alive_count = _status("liveliness_changed", "alive_count")
 
-_take_status = function("dds_take_status", ct.c_int32, ct.POINTER(ct.c_uint32), ct.c_uint32)
 # What the numbers above and the matched peers change with.
 _CHANGES = {
     "in": DDSStatus.SampleLost | DDSStatus.SampleRejected | DDSStatus.RequestedDeadlineMissed
@@ -123,9 +123,7 @@ def matched_count(ref: int, direction: str) -> int:
 
 def changes(ref: int, direction: str) -> Callable[[], bool]:
     """Return what tells whether peers or numbers of an endpoint may have changed since it was last asked."""
-    flags, mask = ct.c_uint32(), _CHANGES[direction]
-    place = ct.byref(flags)
-    return lambda: bool(_take_status(ref, place, mask) or flags.value)
+    return partial(changed, ref, int(_CHANGES[direction]))
 
 
 class WaitSet:
