@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -265,7 +265,8 @@ class Snapshot:
         return next((line for line in self.readers if line.index == 0 and line.claim), None)
 
 
-def task_name(words: Sequence[int]) -> str:
+@lru_cache(1024)
+def task_name(words: tuple[int, ...]) -> str:
     """Return the name in the last words of a reader line."""
     name = b"".join(word.to_bytes(4, "little") for word in words).split(b"\0")[0]
     return name.decode("utf-8", "replace")
