@@ -1,16 +1,16 @@
-"""Calls (section 11) as a transition system: who stores first, who looks, and what the caller reports.
+"""Calls (section 11) as a transition system: the order of stores and loads, and what the caller reports.
 
-    caller     look at claim │ publish s │ … answer? claim changed? │ publish w │ F8 │ taken │ report
+    caller     load claim │ publish s │ … answer? claim changed? │ publish w │ F8 │ taken │ report
     answerer   claim │ F7 │ last := head │ … head new? │ taken := s │ F7 │ head, claim again │ act │ answer
 
-Each store waits in a buffer of its process until it becomes visible, in any order but that of stores to
-one word; a process passes a fence when its buffer is empty. A scan's end under the delayed rule (section
-7.4) is such a point, too, so the same machine stands for programs with fences and for scans without. Of the
-two looks behind F7 either may come first. A message is one step here: that it is whole is what
-:mod:`protocol` is about.
+Each store waits in a buffer of its process until it becomes visible. Stores to the same word keep their
+order; all others become visible in any order. A process passes a fence when its buffer is empty. Under the
+delayed rule (section 7.4), the end of a scan has the same effect, so the model covers programs with fences
+and scans without. The two loads after F7 may happen in either order. Publishing a message is one step here;
+:mod:`protocol` checks that messages are complete.
 
-A killed process loses what is in its buffer; what the kernel still made visible is a history with a later
-kill. The next answerer is another life with a claim of its own, or, in a bridge, the one that comes back.
+A killed process loses the contents of its buffer. If the kernel still makes a store visible, this is the
+same history with a later kill. The next answerer is a new life with its own claim, or a restarted bridge.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ Stores = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True)
 class CallConfig:
-    """A bounded instance; every switch that is off is a mutation.
+    """A bounded instance; turning a switch off makes a mutation.
 
     Attributes:
-        calls: How many the caller makes.
-        lives: Answerers, one after the other.
-        restarts: Times that the caller is killed and comes back.
+        calls: How many calls the caller makes.
+        lives: How many answerers run, one after the other.
+        restarts: How often the caller is killed and restarted.
         bridge_answers: The PLC calls, and the answerer is a bridge, which continues from ``taken``.
-        overlap: An answerer that loses its claim was only paused, and goes on.
-        at_once: Such a one is not paused between its look at ``claim`` and the store of ``taken``.
+        overlap: An answerer that loses its claim was only paused, and continues.
+        at_once: It is not paused between its load of ``claim`` and its store of ``taken``.
         f7, f8: The fences of M26.
-        claim_fence: F7 behind the claim (M27).
-        second_look: The answerer looks at ``head`` and ``claim`` again.
-        last_is_head: An answerer in the PLC starts at ``head``, not with what waits.
-        withdraw_when_lost: The caller withdraws before it judges a call whose answerer has changed.
-        claim_behind_answer: It looks at ``claim`` behind an answer ``NOT_EXECUTED``.
-        before_known: A bridge knows the call that its predecessor has taken.
-        epoch: A call's number has the caller's claim in it.
+        claim_fence: F7 after the claim (M27).
+        second_look: The answerer loads ``head`` and ``claim`` again.
+        last_is_head: An answerer in the PLC starts at ``head`` and ignores waiting calls.
+        withdraw_when_lost: The caller withdraws a call before it judges it when the answerer has changed.
+        claim_behind_answer: The caller loads ``claim`` again after an answer ``NOT_EXECUTED``.
+        before_known: A bridge knows which call its predecessor has taken.
+        epoch: A call's number contains the caller's claim.
     """
 
     calls: int = 2
@@ -68,7 +68,7 @@ class CallConfig:
 
 
 class Caller(NamedTuple):
-    """The caller's registers; ``call`` 0: none is open."""
+    """The caller's registers; ``call`` is 0 while no call is open."""
 
     at: str = "open"
     call: int = 0
@@ -82,7 +82,7 @@ class Caller(NamedTuple):
 
 
 class Answerer(NamedTuple):
-    """One life of the answerer; ``doing``, ``done`` and ``before`` are calls."""
+    """One life of the answerer; ``doing``, ``done`` and ``before`` are numbers of calls."""
 
     name: int
     at: str = "claim"
@@ -94,10 +94,10 @@ class Answerer(NamedTuple):
 
 
 class World(NamedTuple):
-    """Memory, processes, and what only the properties need.
+    """Memory, processes, and the state that only the properties need.
 
-    ``log`` holds each message's call and whether it is withdrawn; ``calls`` each call's epoch, counter, how
-    often it was executed, what was reported (0: nothing), and the claim in memory when it became visible.
+    ``log`` holds each message's call and whether it is withdrawn. ``calls`` holds each call's epoch, counter,
+    number of executions, reported outcome (0: none), and the claim in memory when the call became visible.
     """
 
     memory: tuple[int, int, int, int]

@@ -1,11 +1,11 @@
-"""Search the channel protocol exhaustively, and show that the search can fail.
+"""Search the channel protocol exhaustively, and show that the search finds violations.
 
     python spec/model/check.py                   what must hold, what must fail (under a minute)
     python spec/model/check.py --large           bigger bounds (minutes)
     python spec/model/check.py --trace "without F1"   the shortest way to each matching failure
 
-Needs nothing but Python 3.10. Leaves with 1 if a property breaks that must hold, or holds that
-must break.
+Requires only Python 3.10. The exit status is 1 if a property that must hold breaks, or one that must
+break holds.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ __all__ = ["as_expected", "main"]
 GROUPS = {
     "must hold": HOLDS,
     "must fail: one rule taken away": MUTATIONS,
-    "holds all the same: another rule stands behind": HOLDS_WITHOUT,
+    "holds without one rule: another rule covers it": HOLDS_WITHOUT,
     "known limits": LIMITS,
 }
 
 
 def as_expected(scenario: Scenario, result: Result) -> bool:
-    """Return whether the search found what it must find, and tested something at all."""
+    """Return whether the search has the expected result and tested at least one acceptance."""
     if scenario.breaks:
         return result.violation.startswith(scenario.breaks)
     return not result.violation and result.accepted > 0

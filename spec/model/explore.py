@@ -1,8 +1,8 @@
 """Exhaustive breadth-first search over the two machines of :mod:`protocol`.
 
-The state of memory and writer and the state of the reader are numbered apart, so that a state
-of the whole is one integer, the writer's steps are worked out once per writer state, and a few
-million states fit into memory. Breadth first, so that a counterexample is a shortest one.
+States of memory and writer are numbered separately from states of the reader. A state of the whole system
+is therefore one integer, the writer's steps are computed once per writer state, and a few million states
+fit into memory. Because the search is breadth-first, it finds a shortest counterexample.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ SHIFT = 32
 
 @dataclass(frozen=True)
 class Result:
-    """What a search found.
+    """The result of a search.
 
     Attributes:
         states: Distinct states visited.
-        steps: Steps between them.
-        accepted: Distinct accepting steps; 0 would mean that nothing was tested.
-        violation: The broken property, empty if none.
-        trace: The steps that lead there.
+        steps: Transitions between them.
+        accepted: Distinct accepting steps; 0 means that nothing was tested.
+        violation: The broken property; empty if none.
+        trace: The steps that lead to the violation.
     """
 
     states: int

@@ -1,34 +1,33 @@
-"""The channel protocol as a transition system: what can become visible, what can be read.
+"""The channel protocol as a transition system: which stores become visible, and what loads return.
 
-Two machines share a memory of ``head`` and N slots; a slot is a sequence word and two record
-words (two are enough to be torn). Every single store and load is a step of its own.
+Two machines share a memory of ``head`` and N slots. A slot has a sequence word and two record
+words (two are enough for a torn record). Every store and every load is a separate step.
 
     writer   … F1 │ sequence = 0 │ F5 │ word a, word b │ F6 │ sequence │ F2 │ head │ …  (section 7.2)
     reader   head, sequence │ F3 │ word a, word b │ F4 │ head and sequence again            (section 7.3)
 
-and, where a slot is not sealed while it is written (section 7.4, and what the first two
-conditions are worth alone):
+Without a seal (section 7.4, and to test the conditions of M12 separately):
 
     writer   … F1 │ sequence, word a, word b │ F2 │ head │ F1 │ …
     reader   head │ F3 │ sequence, word a, word b │ F4 │ head again
 
-Where a writer hands over to one under another rule (M23), the reader loads ``writer_rule`` with
-each load of ``head``, in any order with it.
+If a writer hands over to another one under a different rule (M23), the reader loads ``writer_rule``
+with each load of ``head``; the two loads may happen in either order.
 
-*Stores.* Between two fences the stores of one group become visible in any order; stores to one
-location keep their order. That is weaker than ARM and far weaker than x86. Only the order in
-which stores become visible is modelled: when they were executed, a reader cannot tell.
+*Stores.* The stores between two fences form a group and become visible in any order, but stores to
+the same location keep their order. This is weaker than ARM and much weaker than x86. The model
+covers only the order in which stores become visible, because a reader cannot see when they were executed.
 
-*Loads.* Between two fences the loads of one group are satisfied in any order.
+*Loads.* Between two fences, loads happen in any order.
 
-*Kill.* The writer stops with any part of the open group visible, and the rest never becomes
-so. "Executed, still in a store buffer" is the same history with a later kill. A dead writer
-is one that takes no further step; a restarted one loads ``head`` and counts from there. It
-starts after the dead one's stores have become visible (the kernel's work between the death of
-one process and the claim of the next, at least 100 ms later, holds barriers in plenty).
+*Kill.* The writer stops when any part of the open group is visible, and the rest never becomes
+visible. A store that was executed but is still in a store buffer is the same history with a later
+kill. A dead writer takes no further step. A restarted writer loads ``head`` and counts from there. It
+starts after the dead writer's stores have become visible: the kernel executes many barriers between
+the death of one process and the claim of the next, at least 100 ms later.
 
-Everything that only the properties need ("ghost" state) is the publication log and the number
-``m`` that each message carries in both record words.
+Only the properties need the "ghost" state: the publication log, and the number ``m`` that each
+message carries in both record words.
 """
 
 from __future__ import annotations
@@ -59,32 +58,32 @@ FENCES_RULE, DELAYED_RULE = 1, 2
 
 @dataclass(frozen=True)
 class Config:
-    """A bounded instance of the protocol; every switch that is off is a mutation.
+    """A bounded instance of the protocol; turning a switch off makes a mutation.
 
     Attributes:
         slots: N.
-        modulus: Stands for 2**32.
-        start: ``head`` before the first step; the slots hold what led there.
-        messages: Messages that the writer begins, killed ones included.
-        restarts: Times that the writer is killed, at any instant, and starts again.
+        modulus: Replaces 2**32.
+        start: ``head`` before the first step; the slots hold the messages up to it.
+        messages: Messages that the writer begins, including those cut off by a kill.
+        restarts: How often the writer is killed, at any instant, and restarted.
         in_order: The reader takes ``next(last)`` instead of the newest.
         latched: The reader starts with ``last = 0``.
         sealed: The writer keeps a slot's sequence at 0 while it is written (M22), and the
             reader compares it before and after the copy.
         early_q: The reader loads the sequence before F3, not with the copy.
         f1, f2, f3, f4, f5, f6: The fences.
-        margin: The largest accepted distance is N - ``margin``.
+        margin: N - ``margin`` is the largest accepted distance.
         distance_check: The first condition of M12.
-        sequence_check: The second.
+        sequence_check: The second condition of M12.
         behind_check: A head less than N behind ``last`` means "nothing new".
         lost_on_accept: Losses are counted when a message is accepted, not at every attempt.
         shadow: The copy goes to private memory first.
-        refusals: A refusal without cause is a violation (off: look for graver ones behind it).
-        scribbles: Times that a stranger stores into ``head``.
-        scribble_near: The stranger may store any value, not only values far from the stream.
-        zombie: A killed writer was only paused, and goes on after the takeover.
-        handover: After so many messages another writer takes over, under the delayed rule; 0: none does.
-        handback: The other way round: the first writer is under the delayed rule, the second has fences.
+        refusals: A refusal without cause is a violation (off: search for more serious violations).
+        scribbles: How often another program stores into ``head``.
+        scribble_near: It may store any value, not only values far from the stream.
+        zombie: A killed writer was only paused, and continues after the takeover.
+        handover: Another writer, under the delayed rule, takes over after this many messages; 0: none does.
+        handback: Reverses the hand-over: the first writer uses the delayed rule, the second uses fences.
         rule_again: The reader loads ``writer_rule`` a second time, after the copy (M23).
     """
 
@@ -118,7 +117,7 @@ class Config:
     rule_again: bool = True
 
     def delayed(self, number: int) -> bool:
-        """Return whether the message that is the ``number``-th begun is written under the delayed rule."""
+        """Return whether the ``number``-th message is written under the delayed rule."""
         return self.handover > 0 and (number > self.handover) != self.handback
 
 
@@ -129,13 +128,13 @@ class Writer(NamedTuple):
         head: The visible ``head``.
         words: The visible slots, three words each.
         open: Stores of the open group that are not visible yet, in program order.
-        later: Stores and fences of the begun messages after the open group.
+        later: Stores and fences of the messages begun, after the open group.
         private: The writer's private head.
         log: Sequence of each begun message (index ``m`` - 1).
         published: Numbers of the published messages, in order.
         restarts: Restarts left.
         scribbles: Scribbles left.
-        paused: What a paused writer that lost its claim still has to store.
+        paused: The stores that a paused writer still executes after it lost its claim.
         rule: The visible ``writer_rule``.
     """
 
@@ -167,10 +166,10 @@ class Reader(NamedTuple):
         near: ``head`` was loaded again and is near enough.
         same: The sequence word was loaded again and is ``s``.
         quiet: Ghost: the memory has not changed since the attempt began.
-        shown: What the reader's user sees, two words.
-        stuck: The head of a refusal because the slot holds another sequence.
-        at_head: So often refused under one head that only the newest is left to try (M13).
-        rule: ``writer_rule`` as loaded with ``head``, where it may change.
+        shown: The two words that the reader's user sees.
+        stuck: ``head`` at the last refusal because the slot held another sequence.
+        at_head: Refused twice under the same head, so the reader continues at ``head`` (M13).
+        rule: ``writer_rule`` as loaded with ``head``, if it may change.
         apart: The distance from ``s`` to ``head`` when that was loaded again.
         again: ``writer_rule`` as loaded again.
     """
@@ -195,7 +194,7 @@ class Reader(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step of the reader: what it did, what it is then, and which property broke."""
+    """A step of the reader: its label, the state after it, and the property that broke."""
 
     label: str
     after: Reader

@@ -1,4 +1,4 @@
-"""The reader's machine, and the properties: :mod:`protocol` says how loads are ordered."""
+"""The reader's machine and the properties; :mod:`protocol` defines the order of loads."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _begun(config: Config, reader: Reader) -> bool:
 
 
 def _wanted(config: Config, reader: Reader, h: int) -> int:
-    """Return the sequence to take where ``head`` is ``h``; -1 where nothing is new."""
+    """Return the sequence to take if ``head`` is ``h``; -1 if nothing is new."""
     n, modulus, last = config.slots, config.modulus, reader.last
     if h in (0, last):
         return -1

@@ -1,8 +1,8 @@
-"""The searches: what must hold, what must fail, and what is known not to hold.
+"""The searches: what must hold, what must fail, and which limits are known.
 
-A mutation takes one rule of the specification away. Each names the property whose breaking
-must be found (the beginning of its text), or says why nothing breaks: a rule that is not
-needed under every circumstance is still needed under another, and both are listed.
+A mutation removes one rule of the specification. It specifies the beginning of the text of the property
+that must break, or explains why none breaks. Some rules are needed only under certain circumstances; for
+these, there is a search with and one without these circumstances.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ __all__ = ["HOLDS", "HOLDS_WITHOUT", "LARGE", "LIMITS", "MUTATIONS", "Scenario"]
 
 @dataclass(frozen=True)
 class Scenario:
-    """One search and what it must find.
+    """One search and its expected result.
 
     Attributes:
         name: Unique, for the table and for tests.
         config: The bounded instance.
         breaks: How the text of the broken property begins; empty: every property holds.
-        why: Why it must be so, in one sentence.
+        why: The reason for this result, in one sentence.
     """
 
     name: str
@@ -52,10 +52,10 @@ WRAP = 29
 """A head three messages before the wrap of the modulus 32."""
 
 PLAIN: dict[str, Any] = {"sealed": False}
-"""Without a seal: what the two conditions of M12 are worth alone, and the base of section 7.4."""
+"""Without a seal: the basis of section 7.4, and a test of each condition of M12 alone."""
 
 DELAYED: dict[str, Any] = {"sealed": False, "f1": False, "margin": 3}
-"""Section 7.4: one scan publishes s and fills s + 1 in no known order; its end stands for F2."""
+"""Section 7.4: one scan publishes s and fills s + 1 in any order; its end replaces F2."""
 
 NEAR: dict[str, Any] = {"scribbles": 1, "scribble_near": True, "start": 8, "messages": 5}
 FAR: dict[str, Any] = {"scribbles": 1, "start": 8, "messages": 5}
@@ -99,7 +99,7 @@ MUTATIONS: list[Scenario] = [
     *_both(
         "hand-over to the delayed rule, the rule loaded once",
         "torn",
-        "the first writer's window lets a slot pass that the second one is filling",
+        "with the first writer's window, a slot passes that the second writer is filling",
         messages=6,
         handover=2,
         rule_again=False,
@@ -107,7 +107,7 @@ MUTATIONS: list[Scenario] = [
     *_both(
         "without F1, no seal",
         "torn",
-        "bytes of s overtake head = s - 1, and head says that the slot is out of reach",
+        "bytes of s overtake head = s - 1, and by its distance from head the slot seems untouched",
         f1=False,
         refusals=False,
         **PLAIN,
@@ -122,7 +122,7 @@ MUTATIONS: list[Scenario] = [
     *_both(
         "without F2, no seal",
         "invented",
-        "the same, and the sequence may stand before the record",
+        "the same, and the sequence may be visible before the record",
         f2=False,
         refusals=False,
         **PLAIN,
@@ -131,7 +131,7 @@ MUTATIONS: list[Scenario] = [
         "without F3, in order",
         Config(f3=False, in_order=True),
         "torn",
-        "next(last) does not wait for head: the copy may be older than the head that vouches for it",
+        "next(last) does not depend on head: the copy may be older than the head that validates it",
     ),
     Scenario(
         "without F3, in order, no seal", Config(f3=False, in_order=True, sealed=False), "torn", "the same"
@@ -139,7 +139,7 @@ MUTATIONS: list[Scenario] = [
     *_both(
         "without F3, head scribbled",
         "torn",
-        "the sequence is compared before the copy in vain",
+        "the comparison of the sequence before the copy has no effect",
         f3=False,
         **NEAR,
     ),
@@ -188,7 +188,7 @@ MUTATIONS: list[Scenario] = [
     *_both(
         "without a seal, head scribbled with any value",
         "content of",
-        "the sequence stands before the record does",
+        "the sequence is visible before the record",
         **PLAIN,
         **NEAR,
     ),
@@ -225,13 +225,13 @@ MUTATIONS: list[Scenario] = [
         "calls: without F7, or in one scan",
         CallConfig(calls=1, lives=1, f7=False),
         "executed after it was reported",
-        "the answerer looks again before its taken is seen",
+        "the answerer loads head again before its store of taken is visible",
     ),
     Scenario(
         "calls: without F8, or in one scan",
         CallConfig(calls=1, lives=1, f8=False),
         "executed after it was reported",
-        "the caller looks at taken before its withdrawal is seen",
+        "the caller loads taken before its withdrawal is visible",
     ),
     Scenario(
         "calls: no second look",
@@ -276,7 +276,7 @@ MUTATIONS: list[Scenario] = [
         "it finds a call withdrawn that the bridge before has executed",
     ),
 ]
-"""What must fail, and why."""
+"""Searches that must fail, with the reasons."""
 
 HOLDS_WITHOUT: list[Scenario] = [
     *_both(
@@ -300,15 +300,17 @@ HOLDS_WITHOUT: list[Scenario] = [
         "the slot's address depends on head, and that keeps the order",
     ),
     *_both("without F5", "", "with a true head the distance decides alone", f5=False),
-    *_both("without F6", "", "with a true head F2 stands after the record and the sequence alike", f6=False),
+    *_both(
+        "without F6", "", "with a correct head F2 orders both the record and the sequence before it", f6=False
+    ),
 ]
-"""Rules that are not needed as long as another holds: each is a second net under the first."""
+"""Rules that are not needed while another rule holds: each one is a second safeguard."""
 
 LIMITS: list[Scenario] = [
     *_both(
         "a paused writer goes on after its claim was taken",
         "torn",
-        "nothing short of the end of a process takes its stores away",
+        "only the end of a process stops its stores",
         messages=5,
         restarts=1,
         zombie=True,
@@ -321,13 +323,13 @@ LIMITS: list[Scenario] = [
         restarts=1,
     ),
     Scenario(
-        "calls: paused between its look at claim and its store of taken",
+        "calls: paused between its load of claim and its store of taken",
         CallConfig(overlap=True, at_once=False),
         "executed after it was reported",
-        "it stores into a line that is another's by now",
+        "it stores into a line that now belongs to another program",
     ),
 ]
-"""What the format does not promise."""
+"""Known limits: properties that the format does not guarantee."""
 
 LARGE: list[Scenario] = [
     *_both("large: killed and restarted three times", messages=8, restarts=3),
@@ -344,4 +346,4 @@ LARGE: list[Scenario] = [
     Scenario("large: calls, answerers were only paused", CallConfig(calls=1, lives=3, overlap=True)),
     Scenario("large: calls, a bridge answers", CallConfig(calls=3, bridge_answers=True)),
 ]
-"""Bigger bounds, minutes instead of seconds."""
+"""Searches with bigger bounds, which take minutes instead of seconds."""

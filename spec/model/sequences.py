@@ -1,7 +1,7 @@
 """Sequence arithmetic of ``spec/shm-format.md`` section 7.1, for any modulus.
 
 The format counts modulo 2**32. The model counts modulo a small number, so that a few
-messages are enough to go around; nothing else differs.
+messages are enough for a wrap. There is no other difference.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The writer's machine, and what may happen to the memory beside it: :mod:`protocol` says how."""
+"""The writer's machine, and other changes to the memory; :mod:`protocol` defines the order of stores."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def initial(config: Config) -> tuple[Writer, Reader]:
 
 
 def _begun(config: Config, number: int) -> int:
-    """Return which message of the writer it is; a start in mid-stream has prefilled slots before it."""
+    """Return the message's number without the prefilled slots of a start in mid-stream."""
     return number - (config.slots if config.start else 0)
 
 
 def _claim(config: Config, number: int) -> Store:
-    """Return the store of the rule under which a writer goes on with message ``number``."""
+    """Return the store of the rule under which a writer continues with message ``number``."""
     return (RULE, DELAYED_RULE if config.delayed(_begun(config, number)) else FENCES_RULE, number)
 
 
@@ -53,7 +53,7 @@ def _message(config: Config, sequence: int, number: int) -> list[Store]:
 
 
 def _refill(config: Config, writer: Writer) -> Writer:
-    """Open the next group once every store of the last one is visible: that is what a fence does."""
+    """Open the next group once every store of the last one is visible, as a fence does."""
     if writer.open:
         return writer
     begun, later = [], list(writer.later)

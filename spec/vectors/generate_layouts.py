@@ -10,10 +10,10 @@ Each vector holds
 
 * ``type``, ``definition``, ``ros_version``, ``limits``: the input;
 * ``text``, ``layout_id``, ``layout_id_words``, ``size``, ``align``: the layout;
-* ``initial``: the record of a message that nobody has filled, in hexadecimal digits;
+* ``initial``: the record of a message with default values, in hexadecimal digits;
 * ``values``: value ↔ record pairs; packing gives the record, reading it gives ``reads``, or
   the value itself where ``reads`` is missing;
-* ``readings``: records that a faulty writer may leave, and what a reader makes of them.
+* ``readings``: records that a faulty writer may leave, and the values that a reader reads from them.
 """
 
 from __future__ import annotations

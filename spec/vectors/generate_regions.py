@@ -1,10 +1,10 @@
 """Write the test vectors of channels: regions/, hostile/, calls/, names.json and sequences.json.
 
     python spec/vectors/generate_regions.py            write
-    python spec/vectors/generate_regions.py --verify   compare with what is there; 1 on a difference
+    python spec/vectors/generate_regions.py --verify   compare with the existing files; 1 if they differ
 
-Independent of the product: it knows the specification only. The same bytes every time.
-A ``.bin`` ends with its last byte that is not zero; ``size`` says how long the file is.
+The generator implements only the specification and does not use the product. Its output is reproducible.
+A ``.bin`` ends with the last nonzero byte of the object; ``size`` is the object's full size.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ def msg(name, text):
 
 
 def deeper(letter, level, last):
-    """Return the type of the next level, or what stands at the bottom."""
+    """Return the type of the next level, or the innermost type."""
     return f"{letter}{level + 1}" if level < 9 else last
 
 

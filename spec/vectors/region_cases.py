@@ -1,4 +1,4 @@
-"""Valid objects: what stands in them, and what a reader must make of it.
+"""Valid objects: their contents, and what a reader must take from them.
 
 Expected results are written by hand, case by case. They are not computed by a reader.
 """
