@@ -181,7 +181,7 @@ def block_page(pou: Pou) -> str:
     own = chain if typed else chain[-1:]
     lines = [_summary(pou), ""]
     if typed:
-        lines[0] += f" Each {typed} type in use has its own, such as `{pou.name}`."
+        lines[0] += f" Each {typed} type in use gets its own block, such as `{pou.name}`."
     lines += [f"![{pou.name}: inputs left, outputs right](../../images/blocks/{_key(pou.name)}.svg)", ""]
     if pou.extends:
         above = _sentence(chain[-2].comment)
@@ -193,7 +193,7 @@ def block_page(pou: Pou) -> str:
     for method in [m for each in reversed(chain) for m in each.methods if m.name == "FB_Init"][:1]:
         given = [v for block in method.blocks for v in block.variables if not v.name.startswith("bIn")]
         names = " and ".join(f"`{v.name} : {v.type}`" for v in given)
-        lines += [f"An instance is declared with {names}. {_sentence(method.comment)}", ""]
+        lines += [f"The declaration of an instance takes {names}. {_sentence(method.comment)}", ""]
     if guides := GUIDES.get(_key(pou.name)):
         lines += [f"How to use it: {', '.join(map(_guide, guides))}.", ""]
     for kind, title in KINDS:
@@ -221,7 +221,7 @@ def list_page() -> str:
     lines = ["# Function blocks", "", GENERATED, ""]
     lines += [
         "The blocks of topics, services and actions are generated for each type in use, such as",
-        "`geometry_msgs_PoseStamped_Read`; the others have the names below.",
+        "`geometry_msgs_PoseStamped_Read`. All other blocks have fixed names.",
         "[The PLC's blocks](../plc-blocks.md) describes what they have in common.",
         "",
     ]
