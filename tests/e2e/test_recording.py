@@ -186,5 +186,5 @@ def test_every_recorded_message_arrives_equal_and_every_answer_comes_back(
     assert [tuple(pair) for pair in heard] == result["sent"]
     if source == "made":
         assert "Header has no such field" in player.stdout
-        assert "tf/msg/tfMessage is given as tf2_msgs/msg/TFMessage" in player.stdout
-        assert "rosgraph_msgs/msg/Log is given as rcl_interfaces/msg/Log" in player.stdout
+        assert "tf/msg/tfMessage is converted to tf2_msgs/msg/TFMessage" in player.stdout
+        assert "rosgraph_msgs/msg/Log is converted to rcl_interfaces/msg/Log" in player.stdout

@@ -28,7 +28,7 @@ RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage", "rosgraph_msgs/msg/Log"
 _LOG = ("rosgraph_msgs/msg/Log", "rcl_interfaces/msg/Log")
 _LOG_LEVELS = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}
 _LOG_NOTES = (
-    "header.stamp is given as stamp; levels 1, 2, 4, 8, 16 as 10, 20, 30, 40, 50",
+    "header.stamp becomes stamp; levels 1, 2, 4, 8, 16 become 10, 20, 30, 40, 50",
     *(f"{name} is dropped" for name in ("header.seq", "header.frame_id", "topics")),
 )
 _BYTES = {"byte", "char", "uint8"}
@@ -69,7 +69,7 @@ class Conversion:
         self.notes: list[str] = []  # what differs between the two
         self.unchanged = from_ros1 == to_ros1  # whether a message's bytes are the same under both
         if source_type != target_type:
-            self.notes.append(f"{source_type} is given as {target_type}")
+            self.notes.append(f"{source_type} is converted to {target_type}")
         self._own, self._is_log = own.name, (source_type, target_type) == _LOG
         if self._is_log:
             self.notes.extend(_LOG_NOTES)
@@ -110,7 +110,7 @@ class Conversion:
             if names and wanted_names and not common:
                 raise self._refused(f"{own.name} and {wanted.name} have no field in common")
             if [n for n in names if n in common] != [n for n in wanted_names if n in common]:
-                self.notes.append(f"{path}* are in another order in {wanted.name}; they are matched by name")
+                self.notes.append(f"{path}* have another order in {wanted.name}; they are matched by name")
         changes: dict[str, _Change] = {}
         for field in wanted.fields:
             if field.name in shape:
@@ -134,7 +134,7 @@ class Conversion:
             return self._elements(own.element, wanted.element, path)
         elif isinstance(own, SequenceType) and isinstance(wanted, SequenceType):
             return self._bounded(self._elements(own.element, wanted.element, path), own, wanted, path)
-        raise self._refused(f"its field {path} was recorded as {own}, and {wanted} is wanted")
+        raise self._refused(f"field {path} was recorded as {own}, but must be {wanted}")
 
     def _elements(self, own: FieldType, wanted: FieldType, path: str) -> _Change:
         change = self._field(own, wanted, f"{path}[]")
@@ -157,9 +157,9 @@ class Conversion:
     def _refused(self, what: str) -> RosplcError:
         return RecordingError(
             "REC007",
-            f"the definitions do not agree: {what}",
+            f"the definitions do not match: {what}",
             where=self._where,
-            remedy="Use the definition that it was recorded with, or leave it out with "
+            remedy="Use the definition of the recording, or leave the topic out with "
             f"--exclude {self._where}.",
         )
 
@@ -196,7 +196,7 @@ class Requests(Conversion):
         if self._seen.setdefault(call, kind) != kind:
             return None
         if not event["request"]:
-            raise CodecError("COD001", "the recording does not have the request's content", where=self._where)
+            raise CodecError("COD001", "the recording lacks the request's content", where=self._where)
         [request] = event["request"]
         return self._written(request["goal"] if self._is_goal else request)
 

@@ -307,8 +307,8 @@ _DAMAGE = (
     McapError, EOFError, struct.error, ValueError, KeyError, IndexError, OverflowError, TypeError,
     MemoryError, RuntimeError, zstandard.ZstdError,
 )  # fmt: skip
-_NO_MCAP = "Give an .mcap file; `rosplc replay` takes .bag and .db3 files as well, by their names."
-_HOPELESS = "Nothing of it can be saved: use another copy of it, or record again."
+_NO_MCAP = "Give an .mcap file; `rosplc replay` also accepts files named .bag and .db3."
+_HOPELESS = "Nothing in this file can be recovered: use another copy, or record again."
 _LOOSE = 1 << 20  # messages outside of chunks are read together in parts of about this size
 
 
@@ -364,7 +364,7 @@ class _Bounded:
     def read(self, length: int = -1) -> bytes:
         rest = self._size - self._file.tell()
         if not 0 <= length <= rest:
-            raise EOFError(f"a length of {length} bytes, where {rest} are left")
+            raise EOFError(f"a length of {length} bytes, but only {rest} are left")
         return self._file.read(length)
 
     def records(self, *, skip_magic: bool) -> Iterator[McapRecord]:
@@ -468,11 +468,11 @@ def _walk(found: Survey, stream: _Bounded) -> None:
         found.complete = False
         if offset == begin:
             begun = stream.tell() > 0 and not isinstance(error, InvalidMagic)
-            what = "it has no whole record" if begun else "this is not an MCAP file"
+            what = "it contains no complete record" if begun else "this is not an MCAP file"
             remedy = _HOPELESS if begun else _NO_MCAP
             what = f"{what}: {_words(error)}"
             raise RecordingError("REC003", what, where=str(found.path), remedy=remedy) from error
-        found.problem = f"it ends, or is damaged, at byte {offset}: {_words(error)}"
+        found.problem = f"it ends or is damaged at byte {offset}: {_words(error)}"
 
 
 def _look_inside(found: Survey) -> None:
@@ -523,11 +523,11 @@ def _decompress(chunk: Chunk) -> bytes:
     elif chunk.compression == "":
         data = chunk.data
     else:
-        raise ValueError(f"compression {chunk.compression[:20]!r} is not known")
+        raise ValueError(f"unknown compression {chunk.compression[:20]!r}")
     if len(data) != size:
-        raise ValueError(f"a chunk of {size} bytes has {'more' if len(data) > size else len(data)}")
+        raise ValueError(f"a chunk has {'more' if len(data) > size else len(data)} instead of {size} bytes")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("a chunk's checksum is wrong")
+        raise ValueError("the checksum of a chunk is wrong")
     return data
 
 

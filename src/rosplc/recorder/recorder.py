@@ -66,9 +66,9 @@ class Condition:
             raise self._wrong(f"{self.path} has several elements; name one, such as {self.path}[0]")
         if isinstance(node, StringNode):
             if not isinstance(self.value, str) or self.operator not in ("==", "!="):
-                raise self._wrong(f"{self.path} is text: compare it with == or != and a text in quotes")
+                raise self._wrong(f"{self.path} is a string: compare it with == or != and quoted text")
         elif isinstance(self.value, str):
-            raise self._wrong(f"{self.path} is not text: compare it with a number, true or false")
+            raise self._wrong(f"{self.path} is not a string: compare it with a number, true or false")
 
     def _wrong(self, what: str) -> RecordingError:
         return RecordingError("REC005", what, where=self.text)
@@ -91,7 +91,7 @@ def parse_condition(text: str) -> Condition:
     """Read ``/topic.field``, with a comparison or without; raises RecordingError REC005."""
     found = _CONDITION.fullmatch(text.strip())
     if found is None:
-        what = f"{text!r} is neither stale nor error nor a field of a topic"
+        what = f"{text!r} is neither stale, error nor a field of a topic"
         raise RecordingError("REC005", what, where="--trigger")
     value = None if found["value"] is None else _value(found["value"], text)
     return Condition(text.strip(), found["topic"], found["path"], found["operator"] or "", value)
@@ -104,7 +104,7 @@ def _value(text: str, where: str) -> bool | int | float | str:
         return text[1:-1]
     if _NUMBER.fullmatch(text):
         return int(text) if text.lstrip("+-").isdigit() else float(text)
-    what = f"{text} is neither a number nor true or false nor quoted text"
+    what = f"{text} is not a number, true, false or quoted text"
     raise RecordingError("REC005", what, where=where)
 
 

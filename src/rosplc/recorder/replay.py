@@ -205,26 +205,26 @@ def chosen_topics(
         if call and call not in named:
             what = "goals are" if topic.action else "requests are"
             flag = "--action" if topic.action else "--service"
-            remarks.append(f"{call} is left out: {what} sent with {flag} {call} only")
+            remarks.append(f"{call} is left out: {what} sent only with {flag} {call}")
             continue
         if not call and recorded_name(name) != name and name not in selection.topics:
             continue
         if not call and to_plc and topic.direction == "to_ros" and not selection.topics:
-            remarks.append(f"{name} is left out: the PLC wrote it; name it to replay it")
+            remarks.append(f"{name} is left out: the PLC wrote it; name it explicitly to replay it")
             continue
         new = name.replace(call, rename.get(call, call), 1) if call else rename.get(name, name)
         if new in chosen:
-            raise RecordingError("REC007", f"{new} would get two topics' messages", where=name)
+            raise RecordingError("REC007", f"{new} would receive the messages of two topics", where=name)
         chosen[new] = topic
     if unknown:
-        raise RecordingError("REC006", "the recording has no calls or goals of it", where=min(unknown))
+        raise RecordingError("REC006", "the recording has no calls or goals of this name", where=min(unknown))
     names = {one.service or one.action or one.name for one in source.topics.values()}
-    remarks += (f"{wrong} is not in the recording, and not renamed" for wrong in rename if wrong not in names)
+    remarks += (f"not renamed: {wrong} is not in the recording" for wrong in rename if wrong not in names)
     if not chosen:
         known = ", ".join(sorted(source.topics)) or "none"
         calls = any(one.service or one.action for one in source.topics.values())
-        remedy = "--service and --action name what requests and goals are sent to." if calls else ""
-        what = f"no topic is left to replay; the recording has {known}"
+        remedy = "To send recorded requests or goals, name them with --service or --action." if calls else ""
+        what = f"no topic is left to replay; topics of the recording: {known}"
         raise RecordingError("REC006", what, remedy=remedy)
     return chosen, remarks
 
@@ -375,9 +375,7 @@ class PlcTarget(Target):
                 return _Plan(description, plan.layout, plan.slots, plan.truncate, owner)
         there = self._there(name)
         if there is not None:
-            self._convert(
-                name, topic, own, there.layout, there.description.direction, "the channel that is there"
-            )
+            self._convert(name, topic, own, there.layout, there.description.direction, "the existing channel")
             return there
         # A ROS 1 bag becomes a channel of the distribution's types, all else one of its own.
         store = _with(TypeStore.bundled(self._distro), own, topic.type_name) if topic.ros1 else own
@@ -393,12 +391,12 @@ class PlcTarget(Target):
         if direction is not Direction.TO_PLC:
             raise RecordingError(
                 "REC007",
-                f"according to {who}, the PLC writes it",
+                f"according to {who}, the PLC writes this topic",
                 where=name,
                 remedy=f"Leave it out with --exclude {name}, or rename it with --rename {name}:=/other.",
             )
         if layout.type_name != renamed(topic.type_name, layout.store):
-            what = f"{who} has {layout.type_name}, and it was recorded as {topic.type_name}"
+            what = f"{who} has {layout.type_name}, but the topic was recorded as {topic.type_name}"
             raise RecordingError("REC007", what, where=name)
         wanted = layout.type_name
         conversion = Conversion(own, topic.type_name, layout.store, wanted, from_ros1=topic.ros1, where=name)
@@ -412,11 +410,11 @@ class PlcTarget(Target):
         found = (one for one in plans if (one.kind, one.called, one.server) == (kind, called, "plc"))
         plan = next(found, None)
         if plan is None or project is None:
-            what = f"the configuration has no such {kind} of the PLC"
-            remedy = f"Give the bridge's with --config, or send the {_ASKED[kind]} to ROS: --to ros."
+            what = f"the configuration has no {kind} of this name with server: plc"
+            remedy = f"Give the bridge's file with --config, or send the {_ASKED[kind]} to ROS with --to ros."
             raise RecordingError("REC007", what, where=called, remedy=remedy)
         if plan.type_name != topic.call_type:
-            what = f"the configuration has {plan.type_name}, and it was recorded as {topic.call_type}"
+            what = f"the configuration has {plan.type_name}, but the {kind} was recorded as {topic.call_type}"
             raise RecordingError("REC007", what, where=called)
         to_ros1 = project.store.ros_version == 1
         self._convert_by(name, Requests(own, plan.type_name, project.store, to_ros1=to_ros1, where=called))
@@ -509,7 +507,7 @@ class Goals:
         if event.kind == "rejected":
             reply = Reply(text="the goal was rejected")
         elif reply.payload is None and not reply.text:
-            reply = Reply(text="the goal's end is not known")
+            reply = Reply(text="the outcome of the goal is unknown")
         self.accepted.discard(event.uuid)
         if (on_reply := self._waiting.pop(event.uuid, None)) is not None:
             on_reply(reply)
@@ -647,7 +645,7 @@ class RosTarget(Target):
 
     def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
         """Publish a message; one that a subscriber has no room for is lost."""
-        return "" if self._publishers[topic].write(data, stamp_ns) else "a subscriber does not keep up"
+        return "" if self._publishers[topic].write(data, stamp_ns) else "a subscriber cannot keep up"
 
     def missing(self) -> list[str]:
         """Return the topics without a subscriber."""

@@ -76,10 +76,10 @@ class SourceTopic:
             same = self.type_hash in ("", store.type_hash(self.type_name))
         except RosplcError as error:
             raise RecordingError(
-                "REC007", f"its type cannot be used: {error.what} [{error.code}]", where=self.name
+                "REC007", f"the type cannot be used: {error.what} [{error.code}]", where=self.name
             ) from error
         if not same:
-            what = f"its definition is not that of {store.distro}, and the recording does not have it"
+            what = f"its definition differs from that of {store.distro} and is not in the recording"
             raise RecordingError("REC007", what, where=self.name)
         return store
 
@@ -138,7 +138,7 @@ class McapSource(Source):
         self.start_ns = min((part.start_ns for part in parts), default=0)
         self.end_ns = max((part.end_ns for part in parts), default=0)
         self.notes = tuple(
-            f"{found.path}: {found.problem}; what lies before is replayed"
+            f"{found.path}: {found.problem}; only the part before is replayed"
             for found in self._surveys
             if not found.complete or found.damaged
         )
@@ -192,8 +192,8 @@ class McapSource(Source):
             ):
                 encoding = "none" if schema is None else schema.encoding or "none"
                 self.unusable[name] = (
-                    f"its messages are {channel.message_encoding or 'of no known encoding'} with a schema of "
-                    f"{encoding}; cdr with ros2msg is needed"
+                    f"its messages are encoded as {channel.message_encoding or 'none'}, its schema as "
+                    f"{encoding}; cdr and ros2msg are required"
                 )
                 continue
             topic = _topic(channel, schema, found.counts[number])
@@ -247,7 +247,7 @@ class _BagSource(Source):
         known = TypeStore.bundled("jazzy" if distro == ROS1 and not ros1 else distro)
         if any(not topic.definition for topic in self._bag.topics()):
             self.notes = (
-                f"{path}: some types have no definition in it: {known.distro}'s are used (--distro)",
+                f"{path}: some types have no definition; those of {known.distro} are used (--distro)",
             )
         for topic in self._bag.topics():
             # ROS 1 records a relative name as the node wrote it.
@@ -267,8 +267,8 @@ class _BagSource(Source):
                 self.unusable[name] = "it was recorded with two different types or definitions"
             elif not topic.definition and topic.type_name not in known:
                 self.unusable[name] = (
-                    f"the file has no definition of {topic.type_name}, which is unknown in {known.distro} "
-                    "too (--distro chooses another distribution)"
+                    f"the file has no definition of {topic.type_name}, and neither has {known.distro} "
+                    "(--distro chooses another distribution)"
                 )
 
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:

@@ -334,10 +334,10 @@ def _writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in _FULL:
-            raise RecordingError("REC002", f"no room: {error.strerror}", where=str(path)) from error
+            raise RecordingError("REC002", f"cannot write: {error.strerror}", where=str(path)) from error
         what = error.strerror or str(error)
         if isinstance(error, FileExistsError):
-            what = "this name exists already, and nothing is overwritten"
+            what = "a file of this name exists already and is not overwritten"
         raise RecordingError("REC001", what, where=str(path)) from error
 
 
@@ -395,6 +395,6 @@ def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: N
     if not file.messages:
         target.unlink()
         what = found.problem or "it has no messages"
-        remedy = "No whole message is in it: use another copy of it, or record again."
+        remedy = "The file has no complete message: use another copy, or record again."
         raise RecordingError("REC003", f"nothing to save: {what}", where=str(source), remedy=remedy)
     return Repaired(target, file.messages, topics, found.problem, len(found.damaged))

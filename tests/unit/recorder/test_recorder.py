@@ -330,15 +330,15 @@ def test_conditions(text: str, holds: bool) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("fault", "neither stale nor error"),
-        ("/a.b >", "neither stale nor error"),
-        ("/a.b > x", "neither a number"),
+        ("fault", "neither stale, error nor"),
+        ("/a.b >", "neither stale, error nor"),
+        ("/a.b > x", "not a number, true"),
         ("/j.positions[0]", "it has"),
         ("/j.sec", "header.stamp.sec"),
         ("/j.position", "several elements"),
-        ("/j.name[0]", "is text"),
-        ("/j.name[0] > 'a'", "is text"),
-        ("/j.position[0] == 'a'", "is not text"),
+        ("/j.name[0]", "is a string"),
+        ("/j.name[0] > 'a'", "is a string"),
+        ("/j.position[0] == 'a'", "is not a string"),
     ],
 )
 def test_conditions_that_cannot_be(text: str, says: str) -> None:

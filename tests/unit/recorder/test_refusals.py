@@ -26,8 +26,8 @@ MAGIC = b"\x89MCAP0\r\n"
         (None, "no such file"),
         (b"", "not an MCAP file"),
         (b"hello, world", "not an MCAP file"),
-        (MAGIC, "no whole record"),
-        (MAGIC + b"\1" + b"\xff" * 64, "no whole record"),
+        (MAGIC, "no complete record"),
+        (MAGIC + b"\1" + b"\xff" * 64, "no complete record"),
     ],
 )
 def test_hopeless_files_are_not_sent_to_their_repair(

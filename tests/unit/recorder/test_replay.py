@@ -252,7 +252,7 @@ def test_a_configuration_says_what_the_channel_is(
     rosplc("replay", "a.mcap", "--to", "plc", "--topic", "/t1", "--wait", "0", "--speed", "max")
     with attach(shm_namespace, "/t1") as attached:
         assert (attached.identity.slot_count, attached.description.bridge) == (32, "b")
-    with pytest.raises(RecordingError, match="the PLC writes it"):
+    with pytest.raises(RecordingError, match="the PLC writes this topic"):
         PlcTarget({"/t2": source.topics["/t2"]}, shm_namespace, project=project)
 
 
@@ -432,7 +432,7 @@ def test_definitions_that_do_not_agree_are_refused(
     """A recorded type whose fields are of other types, or have other names, is not written into a channel."""
     project = project_of(tmp_path, shm_namespace.prefix, "/axis: {type: cell_msgs/msg/Axis, to: plc}")
     source = open_source(axis(tmp_path / "a.mcap", definition, (3.0, 7.0)))
-    with pytest.raises(RecordingError, match="definitions do not agree") as caught:
+    with pytest.raises(RecordingError, match="definitions do not match") as caught:
         PlcTarget(source.topics, shm_namespace, project=project)
     assert (caught.value.code, caught.value.where) == ("REC007", "/axis")
     assert not list(Path(shm_namespace.directory).glob(f"{shm_namespace.prefix}.t.*"))
@@ -537,7 +537,7 @@ def test_an_sqlite_recording_without_definitions(encoding: str, tmp_path: Path) 
     topics, remarks = chosen_topics(source, Selection(), {}, to_plc=False)
     assert list(topics) == ["/n"] and list(source.unusable) == ["/x"] and "no definition" in remarks[0]
     Player(source, heap, topics, ReplayOptions(speed=0)).play(never)
-    assert heap.got == [("/n", 7)] and "humble's are used" in source.notes[0]
+    assert heap.got == [("/n", 7)] and "those of humble are used" in source.notes[0]
 
 
 def test_a_cut_file_is_replayed_and_repaired(tmp_path: Path) -> None:
@@ -546,7 +546,7 @@ def test_a_cut_file_is_replayed_and_repaired(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: open_source(path)._surveys[0].parts[3].end + 20])  # type: ignore[attr-defined]
     source = open_source(path)
-    assert "what lies before is replayed" in source.notes[0]
+    assert "only the part before is replayed" in source.notes[0]
     assert [number for _, number in played(path).got] == list(range(40))
     done = repair(path, tmp_path / "b.mcap")
     assert (done.messages, done.topics) == (40, {"/t1": 40}) and done.problem
