@@ -68,8 +68,8 @@ class Plan:
 
 def _valid(what: str, value: str, pattern: re.Pattern[str]) -> None:
     if not pattern.fullmatch(value):
-        remedy = "Use letters, digits, _ and -, in paths also / . + @ : and comma."
-        raise SetupError("SYS011", f"{what} {value!r} cannot be part of a unit of systemd", remedy=remedy)
+        remedy = "Use only letters, digits, _ and -; paths may also contain / . + @ : and commas."
+        raise SetupError("SYS011", f"{what} {value!r} cannot be used in a systemd unit", remedy=remedy)
 
 
 def sysusers(plan: Plan) -> str:
@@ -95,9 +95,7 @@ def drop_in(plan: Plan) -> str:
     if plan.directory != "/dev/shm":
         lines += ["# shm.directory.", f"ReadWritePaths={plan.directory}"]
     if plan.realtime:
-        lines += [
-            "# realtime: limits instead of capabilities; they give the right to these two things alone."
-        ]
+        lines += ["# realtime: limits instead of capabilities, since they permit only these two things."]
         lines += ["SystemCallFilter=@resources @memlock"]
     if plan.priority:
         lines += ["RestrictRealtime=no", f"LimitRTPRIO={plan.priority}"]
@@ -110,11 +108,11 @@ _TEMPLATE = """\
 {mark}
 [Unit]
 Description=rosplc bridge %i between ROS and the PLC
-# DDS takes its network interface once, at the start. The PLC's runtime is not ordered: either side may
-# start first, and a PLC should not wait for a network.
+# DDS selects its network interface once, at the start. There is no order with the PLC's runtime: either
+# side may start first, and a PLC should not wait for a network.
 Wants=network-online.target
 After=network-online.target
-# Every attempt counts: a bridge that gives up leaves a machine without one.
+# Never stop trying: a bridge that gives up leaves the machine without one.
 StartLimitIntervalSec=0
 
 [Service]
@@ -122,7 +120,7 @@ Type=notify
 NotifyAccess=main
 User=rosplc
 ExecStart={program} run --status 0 /etc/rosplc/%i.yaml
-# Another configuration while it runs; one that is refused changes nothing.
+# Reloads the configuration; a configuration that is refused changes nothing.
 ExecReload=/bin/kill -HUP $MAINPID
 EnvironmentFile=-/etc/rosplc/%i.env
 StateDirectory=rosplc
@@ -130,16 +128,16 @@ Environment=HOME=%S/rosplc ROS_HOME=%S/rosplc PYTHONFAULTHANDLER=1 PYTHONDONTWRI
 
 Restart=on-failure
 RestartSec=2
-{backoff}# 2: the configuration is wrong, and another attempt would not help. What may come by
-# itself, such as a disk or a group, ends with 1.
+{backoff}# 2: the configuration is wrong, so another attempt would not help. A missing disk or group
+# may still appear: the status is then 1, and another attempt follows.
 RestartPreventExitStatus=2
-# Fed while the threads that carry and beat go round.
+# Fed while the threads for messages and heartbeats are running.
 WatchdogSec=30
 TimeoutStartSec=90
 TimeoutStopSec=20
 
 # The objects stay when the bridge stops: the PLC keeps its last values, and the next start uses them again.
-# So no DynamicUser=, which would remove them.
+# Hence no DynamicUser=, which would remove them.
 RemoveIPC=no
 ReadWritePaths=/dev/shm
 PrivateIPC=yes
@@ -173,7 +171,7 @@ SystemCallFilter=@system-service
 SystemCallFilter=~@privileged @resources
 # fchown: the objects' group.
 SystemCallFilter=@chown
-# A call that is not allowed fails as one without the right to it, and does not kill the bridge.
+# A system call that is not allowed fails with EPERM and does not kill the bridge.
 SystemCallErrorNumber=EPERM
 LimitNOFILE=65536
 
@@ -256,9 +254,9 @@ def _installed(root: Path, name: str | None) -> list[str]:
     found = _at(root, _UNIT.parent).glob(f"rosplc@*.service.d/{_DROP_IN}")
     names = sorted(path.parent.name.removeprefix("rosplc@").removesuffix(".service.d") for path in found)
     if name is not None and name not in names:
-        there = f"; there are: {', '.join(names)}" if names else ""
-        what, where = f"no service rosplc@{name} is installed{there}", str(_at(root, _drop_in_file(name)))
-        remedy = "`rosplc service status` lists what is installed, `rosplc service install` installs one."
+        there = f"; installed: {', '.join(names)}" if names else ""
+        what, where = f"service rosplc@{name} is not installed{there}", str(_at(root, _drop_in_file(name)))
+        remedy = "`rosplc service status` lists installed services; `rosplc service install` adds one."
         raise SetupError("SYS011", what, where=where, remedy=remedy)
     return names
 
@@ -316,12 +314,12 @@ def _write(step: Write) -> None:
 def _run(argv: tuple[str, ...]) -> None:
     if shutil.which(argv[0]) is None:
         remedy = "Install the Debian package systemd, or run the bridge under another service manager."
-        raise SetupError("SYS011", f"there is no {argv[0]} on this machine", remedy=remedy)
+        raise SetupError("SYS011", f"{argv[0]} is not installed on this machine", remedy=remedy)
     try:
         done = subprocess.run(argv, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired:
         what = f"{' '.join(argv)} did not end within {_TIMEOUT_S} s"
-        raise SetupError("SYS011", what, remedy="See `systemctl list-jobs` for what it waits for.") from None
+        raise SetupError("SYS011", what, remedy="See `systemctl list-jobs` for pending jobs.") from None
     if done.returncode:
         said = " ".join((done.stderr or done.stdout).split()) or f"exit status {done.returncode}"
         raise SetupError("SYS011", f"{' '.join(argv)} failed: {said}")
@@ -331,7 +329,7 @@ def _refuse_foreign(path: Path) -> None:
     text = _read(path)
     if text is not None and not text.startswith(MARK):
         what = "this file was not written by rosplc service install, or its first line was removed"
-        remedy = "Move it away; changes of your own belong into `systemctl edit`'s files."
+        remedy = "Move the file away, and make your own changes with `systemctl edit`."
         raise SetupError("SYS011", what, where=str(path), remedy=remedy)
 
 
@@ -372,7 +370,7 @@ def _state(name: str, root: Path) -> dict[str, object]:
         "name": name,
         "unit": unit,
         "enabled": found.get("UnitFileState") or ("enabled" if enabled.is_symlink() else "disabled"),
-        "active": active or "unknown: systemd does not run here",
+        "active": active or "unknown: systemd is not running",
         "restarts": int(found["NRestarts"]) if found.get("NRestarts", "").isdigit() else 0,
         "status": found.get("StatusText", ""),
     }
@@ -404,7 +402,7 @@ def plan_service(
     """
     if config is None:
         if name is None:
-            remedy = "Give --config FILE, or a name for /etc/rosplc/NAME.yaml."
+            remedy = "Give --config FILE, or the NAME of /etc/rosplc/NAME.yaml."
             raise SetupError("SYS011", "no bridge was named", remedy=remedy)
         config = Path(f"/etc/rosplc/{name}.yaml")
     config = Path(config if config.is_absolute() else config.absolute())
@@ -430,8 +428,8 @@ def plan_service(
 def require_systemd() -> None:
     """Raise SYS011 unless systemd runs this machine."""
     if not Path("/run/systemd/system").is_dir():
-        remedy = "In a container let its manager run `rosplc run FILE`; --root DIR prepares an image."
-        raise SetupError("SYS011", "systemd does not run this machine", remedy=remedy)
+        remedy = "In a container, let its manager run `rosplc run FILE`; --root DIR prepares an image."
+        raise SetupError("SYS011", "systemd is not running on this machine", remedy=remedy)
 
 
 def _absolute(program: Path) -> Path:
@@ -440,7 +438,7 @@ def _absolute(program: Path) -> Path:
     beside = Path(sys.executable).with_name("rosplc")  # python -m rosplc
     found = str(beside) if beside.exists() else shutil.which("rosplc")
     if found is None:
-        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Call it by its path.")
+        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Run it by its path.")
     return Path(found).absolute()
 
 
@@ -450,23 +448,23 @@ def _group_name(group: str | int | None) -> str:
     try:
         return grp.getgrgid(group).gr_name
     except KeyError:
-        what = f"shm.group {group} has no name on this machine"
-        raise SetupError("SYS011", what, remedy="Name the group; it is created.") from None
+        what = f"this machine has no group with the number {group} (shm.group)"
+        raise SetupError("SYS011", what, remedy="Give the group's name; it is created.") from None
 
 
 def _notes(plan: Plan, config: Config) -> list[str]:
     notes = [*open_doors(config), *contention(config)]
     for what, path in (("the rosplc command", plan.program), ("the configuration", plan.config)):
         if any(path.is_relative_to(hidden) for hidden in _HIDDEN):
-            notes.append(f"{what} is {path}, which the service cannot see; install into /opt, /usr or /etc")
+            notes.append(f"the service cannot access {what} {path}; install it in /opt, /usr or /etc")
     owner = config.settings.shm.owner
     if owner not in (None, plan.user):
         notes.append(
-            f"shm.owner is {owner}: only root can give objects away, and the service runs as {plan.user}"
+            f"shm.owner is {owner}, but only root can change owners, and the service runs as {plan.user}"
         )
     if not plan.group:
         notes.append(
-            f"shm.group is not set: only {plan.user} and root can use the objects; a PLC runtime of another "
-            "user needs a common group"
+            f"shm.group is not set: only {plan.user} and root can use the objects; a PLC runtime that runs "
+            "as another user needs a common group"
         )
     return notes

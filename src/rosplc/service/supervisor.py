@@ -88,7 +88,7 @@ class Supervisor:
         if not stuck:
             self._notifier.tell("WATCHDOG=1")  # systemd restarts what feeds its watchdog no more
         elif not self._stuck:
-            log.error("%s; systemd restarts the bridge unless it goes on", stuck)
+            log.error("%s; systemd will restart the bridge unless it recovers", stuck)
         self._stuck = stuck
         return self._period_s
 
@@ -108,7 +108,7 @@ class Supervisor:
         try:
             return self.look()
         except Exception:  # a defect here must show itself, and not end the looking
-            log.exception("telling systemd how the bridge stands failed")
+            log.exception("cannot report the state of the bridge to systemd")
             return self._period_s
 
 

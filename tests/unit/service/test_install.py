@@ -198,7 +198,7 @@ def test_uninstall_takes_away_what_was_installed(root: Path) -> None:
     states = json.loads(rosplc("service", "status", "--root", root, "--json").stdout)["services"]
     assert [(state["name"], state["enabled"]) for state in states] == [("cell2", "enabled")]
     again = rosplc("service", "uninstall", "cell1", "--root", root)
-    assert again.returncode == 1 and "there are: cell2" in again.stderr
+    assert again.returncode == 1 and "installed: cell2" in again.stderr
     assert rosplc("service", "uninstall", "cell2", "--root", root).returncode == 0
     assert installed(root) == {}
     assert (root / "etc/rosplc/cell1.yaml").exists() and "rosplc:" in (root / "etc/passwd").read_text()
@@ -243,7 +243,7 @@ def test_what_the_service_could_not_see_is_said(root: Path, tmp_path: Path) -> N
     shutil.copy(root / "etc/rosplc/cell1.yaml", root / "home/me/cell9.yaml")
     done = rosplc("service", "install", "--config", "/home/me/cell9.yaml", "--root", root, "--dry-run")
     assert done.returncode == 0, done.stderr
-    assert "/home/me/cell9.yaml, which the service cannot see" in done.stderr
+    assert "the service cannot access the configuration /home/me/cell9.yaml" in done.stderr
     assert "shm.group is not set" in done.stderr
 
 
@@ -271,7 +271,7 @@ def test_without_systemd_it_says_so(root: Path) -> None:
     done = rosplc("service", "install", "cell1", "--config", config)
     assert done.returncode == 1
     assert "SYS011" in done.stderr
-    assert "systemd does not run" in done.stderr or "only root" in done.stderr
+    assert "systemd is not running" in done.stderr or "only root" in done.stderr
     assert not Path("/etc/systemd/system/rosplc@cell1.service.d").exists()
 
 
