@@ -262,7 +262,7 @@ def attach(
     found = attached.identity
     what = ""
     if layout_id not in (None, found.layout_id):
-        what = f"layout id is {found.layout_id}, {layout_id} is expected"
+        what = f"layout id is {found.layout_id}, not {layout_id}"
     elif record_size not in (None, found.record_size):
         what = f"records have {found.record_size} bytes, not {record_size}"
     if what:
@@ -403,7 +403,7 @@ class Attached(Mapped):
                 return writer
             now = self.snapshot().writer
             if now.epoch == before.epoch and (now.beat, now.head) != (before.beat, before.head):
-                raise channel_error(114, f"process {now.pid} writes it", self.path)
+                raise channel_error(114, f"process {now.pid} is its writer", self.path)
             before = now
             time.sleep(_LOOK_NS / 1e9)
 

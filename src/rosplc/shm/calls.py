@@ -23,18 +23,18 @@ Send = Callable[..., object]
 ENDS: Final = frozenset(range(spec.ANSWER_DONE, spec.ANSWER_ABORTED + 1)) - {spec.ANSWER_ACCEPTED}
 """Answers that end a call."""
 WORDS: Final = {
-    Reason.NONE: "no more is known",
+    Reason.NONE: "the reason is unknown",
     Reason.NO_SERVER: "no server was ready",
-    Reason.TIME_OUT: "nothing came within the time given",
+    Reason.TIME_OUT: "nothing arrived within the time limit",
     Reason.REJECTED: "it was refused",
-    Reason.QUEUE_FULL: "too many are waiting",
-    Reason.EXPIRED: "it has waited for too long",
-    Reason.CALLER_GONE: "the caller does not wait any more",
-    Reason.PLC_DOWN: "the PLC's program stopped, restarted or is silent",
+    Reason.QUEUE_FULL: "too many calls are waiting",
+    Reason.EXPIRED: "it waited for too long",
+    Reason.CALLER_GONE: "the caller no longer waits",
+    Reason.PLC_DOWN: "the PLC program stopped, restarted or is silent",
     Reason.BRIDGE_RESTARTED: "the bridge was restarted",
-    Reason.TOO_LARGE: "it does not fit the record",
+    Reason.TOO_LARGE: "it does not fit into the record",
     Reason.SERVER_GONE: "the server left before it answered",
-    Reason.SERVER_FAILED: "the server answered that it failed",
+    Reason.SERVER_FAILED: "the server reported a failure",
 }
 """Why a call ended, for people."""
 _LINE_0 = spec.reader_line(0)

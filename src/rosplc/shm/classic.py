@@ -182,7 +182,7 @@ class ClassicLock:
         try:
             self._semaphore.leave()
         except (OSError, ValueError) as error:
-            raise channel_error(128, f"cannot be left: {error}", self.path) from error
+            raise channel_error(128, f"cannot be released: {error}", self.path) from error
 
     def look(self, now_ns: int, *, alive: bool = False) -> Entry:
         """Judge the lock without using it; ``ENTERED`` means that it is free."""
@@ -245,7 +245,7 @@ class ClassicLock:
                     _open_up(self.path, found, rights.mode)
                     continue
                 remedy = (
-                    "Run the bridge as the user that made it, or start the bridge first and give the "
+                    "Run the bridge as the user that created it, or start the bridge first and give the "
                     "semaphore to a common group with shm.group."
                 )
                 raise _denied("SHM128", "semaphore", self.path, remedy) from error
@@ -270,7 +270,7 @@ class ClassicLock:
             raise _other_kind(self.path, len(content))
         value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
         if shared != _SHARED or value > _LARGEST:
-            raise channel_error(128, "its content is not a semaphore's", self.path)
+            raise channel_error(128, "the content of the file is not a semaphore", self.path)
 
     def _create(self, rights: Rights) -> None:
         try:
@@ -306,9 +306,9 @@ def _open_up(path: Path, found: os.stat_result, mode: int) -> None:
 def _other_kind(path: Path, size: int) -> ChannelError:
     if size in (16, 32):
         bits, here = size * 2, SEMAPHORE_SIZE * 2
-        what = f"a {bits}-bit program made it ({size} bytes), and this process has {here} bits"
+        what = f"a {bits}-bit program created it ({size} bytes), but this is a {here}-bit process"
         return channel_error(133, what, path)
-    return channel_error(128, f"it has {size} bytes, a semaphore has {SEMAPHORE_SIZE}", path)
+    return channel_error(128, f"the file has {size} bytes, but a semaphore has {SEMAPHORE_SIZE}", path)
 
 
 _TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{8,16}")
@@ -335,9 +335,9 @@ class ClassicMemory:
             except ChannelError as error:
                 if error.code == "SHM102":
                     remedy = (
-                        "Objects of a PLC runtime that runs as root are closed to others: run the bridge as "
-                        "the runtime's user, or start it first and give the object to a common group with "
-                        "shm.group."
+                        "Only root can use the objects of a PLC runtime that runs as root: run the bridge as "
+                        "the runtime's user, or start the bridge first and give the object to a common "
+                        "group with shm.group."
                     )
                     raise _denied("SHM102", "memory", path, remedy) from error
                 if error.code != "SHM101":
@@ -376,7 +376,7 @@ class ClassicMemory:
         # A write beyond the end would make it grow again after it was cut.
         self._large_enough(_done(_lseek(self._fd, 0, os.SEEK_END)))
         if _done(_pwrite(self._fd, record, len(record), 0)) != len(record):
-            raise channel_error(117, "a record was written in part", self.path)
+            raise channel_error(117, "a record was only partly written", self.path)
 
     def in_place(self) -> bool:
         """Return whether the name still leads to this object."""
@@ -397,9 +397,9 @@ class ClassicMemory:
     def _large_enough(self, size: int) -> None:
         if size >= self.record_size:
             return
-        what = f"the memory has {size} bytes, the record {self.record_size}"
+        what = f"the memory has {size} bytes, but the record needs {self.record_size}"
         if not size:
-            what = f"the memory is empty (it was created without a size), the record has {self.record_size}"
+            what = f"the memory is empty (created without a size), but the record needs {self.record_size}"
         raise channel_error(129, what, self.path)
 
 
@@ -412,7 +412,7 @@ def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
 
 
 def _denied(code: str, thing: str, path: Path, remedy: str) -> ChannelError:
-    what = f"the {thing} is {files.describe_owner(path)}, and this process is user {os.geteuid()}"
+    what = f"the {thing} is {files.describe_owner(path)}, but this process runs as user {os.geteuid()}"
     return ChannelError(code, what, where=str(path), remedy=remedy)
 
 

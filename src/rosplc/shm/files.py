@@ -48,7 +48,7 @@ class Rights:
                 os.fchown(fd, -1 if self.uid is None else self.uid, -1 if self.gid is None else self.gid)
             os.fchmod(fd, self.mode)
         except PermissionError as error:
-            what = f"cannot give it to user {self.uid}, group {self.gid}"
+            what = f"cannot change its owner to user {self.uid}, group {self.gid}"
             raise channel_error(102, what, path) from error
 
 
@@ -80,8 +80,8 @@ def refuse_second_name(fd: int, path: Path) -> None:
     """
     count = os.fstat(fd).st_nlink
     if count > 1:
-        what = f"the file at this name has {count} names: it is a hard link"
-        remedy = f"`find {path.parent} -samefile {path}` shows the others; remove the name that is wrong."
+        what = f"the file has {count} names, which are hard links"
+        remedy = f"`find {path.parent} -samefile {path}` lists all of them; remove the wrong ones."
         raise ChannelError("SHM121", what, where=str(path), remedy=remedy)
 
 
@@ -185,7 +185,7 @@ def describe_owner(path: Path) -> str:
     try:
         return describe_status(path.stat())
     except OSError:
-        return "somebody else"
+        return "owned by another user"
 
 
 class NameLock:
@@ -229,7 +229,7 @@ class NameLock:
                 self.unheld_ns = max(0, time.time_ns() - status.st_mtime_ns)
         except OSError as error:
             self.release()
-            what = f"cannot give the lock file to group {rights.gid}: {error.strerror}"
+            what = f"cannot change the group of the lock file to {rights.gid}: {error.strerror}"
             raise channel_error(102, what, path) from error
         except BaseException:
             self.release()
@@ -250,7 +250,7 @@ class NameLock:
         owner = os.fstat(self.fd).st_uid
         # An owner may remove the file, and with it the lock, at any time.
         if owner not in (0, os.geteuid(), uid):
-            raise channel_error(119, f"the lock file is user {user_name(owner)}'s", self.path)
+            raise channel_error(119, f"the lock file belongs to user {user_name(owner)}", self.path)
 
     def _share(self, mode: int, gid: int | None) -> None:
         status = os.fstat(self.fd)

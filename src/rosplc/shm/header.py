@@ -164,17 +164,17 @@ def _words(first: bytes) -> dict[str, Any]:
 def _explain(number: int, first: bytes, size: int, direction: Direction | None, kind: int) -> str:
     """Say what check ``number`` found; empty where the code's title says it all."""
     if number == ErrorNumber.TOO_SMALL:
-        return f"object has {size} bytes, a header has {spec.HEADER_SIZE}"
+        return f"object has {size} bytes, but a header has {spec.HEADER_SIZE}"
     found = _words(first)
     version, ours = found["version"], spec.VERSION >> 16
     wanted_way = direction.word if direction is not None else "to_plc or to_ros"
     texts = {
         ErrorNumber.NOT_ROSPLC: f"magic is 0x{found['magic']:08X}, not 0x{spec.MAGIC:08X}",
         ErrorNumber.VERSION: f"format version is {version >> 16}.{version & 0xFFFF}, not {ours}.x",
-        ErrorNumber.FEATURES: f"features 0x{found['features_required']:08X} are required and unknown",
+        ErrorNumber.FEATURES: f"features 0x{found['features_required']:08X} are required, but unknown",
         ErrorNumber.IDENTITY: f"identity_crc is 0x{found['identity_crc']:08X}, not 0x{_crc(first):08X}",
         ErrorNumber.GEOMETRY: "inconsistent: " + ", ".join(f"{name} {found[name]}" for name in _GEOMETRY),
-        ErrorNumber.TRUNCATED: f"object has {size} bytes, and its header {found['object_size']}",
+        ErrorNumber.TRUNCATED: f"object has {size} bytes, but its header states {found['object_size']}",
         ErrorNumber.DIRECTION: f"kind is {found['kind']} and direction {found['direction']}, "
         f"not {kind or 'known'} and {wanted_way}",
     }

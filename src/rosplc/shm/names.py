@@ -229,7 +229,7 @@ class Description:
         text = json.dumps(members, ensure_ascii=False, separators=(",", ":")).encode()
         if len(text) > spec.MAX_DESCRIPTION_SIZE:
             raise ValueError(
-                f"a self-description has at most {spec.MAX_DESCRIPTION_SIZE} bytes, not {len(text)}"
+                f"the self-description has {len(text)} bytes; the limit is {spec.MAX_DESCRIPTION_SIZE}"
             )
         return text
 
@@ -259,10 +259,10 @@ class Description:
             for layout_id in (values["layout_id"], *values.get("partners", {}).values()):
                 layout_id_words(layout_id)
         except (KeyError, TypeError, ValueError) as error:
-            raise channel_error(113, f"self-description holds {error}", where) from error
+            raise channel_error(113, f"self-description has an invalid value: {error}", where) from error
         found = values.pop("kind", "topic"), values.pop("part", "topic")
         if found != (part.kind, part.word):
-            what = f"self-description is a {found[0]}'s {found[1]}, the object a {part.kind}'s {part.word}"
+            what = f"self-description is of a {found[0]}'s {found[1]}, not a {part.kind}'s {part.word}"
             raise channel_error(113, what, where)
         return cls(**values, part=part)
 

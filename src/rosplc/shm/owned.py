@@ -267,7 +267,7 @@ class _Found:
         """Retire an object that is not adopted."""
         if self.fd >= 0:
             retire_file(self.fd)
-            self.difference = self.difference or "an object that belongs to it is replaced"
+            self.difference = self.difference or "another object of the same use is replaced"
             self.close()
 
     def make(self) -> None:
@@ -297,12 +297,12 @@ def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
     """Raise SHM119, SHM121, SHM103 or SHM104 for what no bridge of this user has made."""
     status = os.fstat(fd)
     if status.st_uid not in (os.geteuid(), uid):
-        raise channel_error(119, f"user {files.user_name(status.st_uid)} owns it", path)
+        raise channel_error(119, f"it belongs to user {files.user_name(status.st_uid)}", path)
     files.refuse_second_name(fd, path)
     first, size = files.read_header(fd)
     if ours or first[:4] == spec.MAGIC.to_bytes(4, "little"):
         return
-    what = f"a file of {size} bytes that no bridge created has this name"
+    what = f"this name belongs to a file of {size} bytes that no bridge created"
     remedy = "If nothing uses it, remove it; otherwise choose another prefix."
     code = "SHM103" if size < spec.HEADER_SIZE else "SHM104"
     raise ChannelError(code, what, where=str(path), remedy=remedy)
@@ -321,7 +321,7 @@ def _difference(fd: int, description: Description, wanted: Identity, rights: Rig
     here = status.st_uid, status.st_gid, stat.S_IMODE(status.st_mode)
     if here != (uid, group, stat.S_IMODE(rights.mode)):
         # Named, as it may have been open to everybody until now.
-        return f"owner, group or mode differ: it was {files.describe_status(status)}"
+        return f"owner, group or mode differ: they were {files.describe_status(status)}"
     for name in ("layout_id", "record_size", "slot_count", "slot_stride"):
         if getattr(found, name) != getattr(wanted, name):
             return f"{name} was {getattr(found, name)}, now {getattr(wanted, name)}"
@@ -341,7 +341,7 @@ def _head_without_slot(fd: int, found: Identity) -> str:
         # does not move is the slot's word evidence.
         before, head = head, _word(fd, spec.WRITER_LINE["head"])
         if before == head:
-            return f"head is {head}, which its slot does not hold"
+            return f"head is {head}, but its slot holds another message"
     return ""  # it moves faster than we can look: somebody writes
 
 

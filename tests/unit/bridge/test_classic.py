@@ -141,7 +141,7 @@ def test_a_memory_that_is_too_small_is_named_with_both_sizes(tmp_path: Path, to:
         wait_for(lambda: cell.status.problem)
         assert cell.status.judgement == (
             Level.ERROR,
-            f"the memory has 100 bytes, the record {SIZE} [SHM129]",
+            f"the memory has 100 bytes, but the record needs {SIZE} [SHM129]",
         )
         assert not cell.classic.attached
         if to == "plc":

@@ -50,7 +50,7 @@ def test_check_explains_memory_and_lock(config: Path, name: str) -> None:
     assert f"semaphore {name}, tried for 5ms, freed when it is held for 1s" in out
     assert "a changed record is a message" in out
     assert "slots" not in out
-    assert f"nothing guards the classic memory {name}.free" in out
+    assert f"no lock guards the classic memory {name}.free" in out
     facts = json.loads(run("check", config, "--json")[1])["topics"]
     assert facts[f"/{name}"]["object"] == name
     assert facts[f"/{name}"]["classic"]["recover_after_ms"] == 1000.0
@@ -85,7 +85,7 @@ def test_show_says_what_keeps_a_memory_from_being_read(config: Path, name: str) 
     """Sizes that differ are an error with both sizes."""
     Path(f"/dev/shm/{name}").write_bytes(b"short")
     code, _, errors = run("show", f"/{name}", "--config", config)
-    assert code != 0 and "5 bytes, the record 48" in errors and "SHM129" in errors
+    assert code != 0 and "5 bytes, but the record needs 48" in errors and "SHM129" in errors
 
 
 def test_show_counts_changes(config: Path, name: str) -> None:

@@ -108,11 +108,11 @@ def test_a_call_is_open_until_it_is_answered_and_its_end_is_in_words(cell, use, 
     made.ask(data=True)
     made.answer(spec.ANSWER_NOT_EXECUTED, Reason.TIME_OUT)
     _, seen = made.look(watch)
-    ended = {"done": 1, "not executed: nothing came within the time given": 1}
+    ended = {"done": 1, "not executed: nothing arrived within the time limit": 1}
     assert seen["request"].call.ended == seen["response"].call.ended == ended
     assert seen["request"].call.correlation == seen["response"].call.correlation
     message = watch.message(seen["response"])
-    assert message.marks[-2:] == ("call 2", "not executed: nothing came within the time given")
+    assert message.marks[-2:] == ("call 2", "not executed: nothing arrived within the time limit")
     assert message.values == {"success": False, "message": ""}
 
 
