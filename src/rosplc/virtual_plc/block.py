@@ -128,7 +128,7 @@ class Block(_Instance):
 
     def _report_silence(self) -> None:
         if self.udiError == 0 and self._peer.silent:
-            self.udiError, self.reason = ErrorNumber.PEER_SILENT.value, "the bridge does not beat"
+            self.udiError, self.reason = ErrorNumber.PEER_SILENT.value, "the bridge sends no heartbeat"
 
     @abstractmethod
     def _use_layout(self, layout: Layout) -> None:
@@ -245,12 +245,12 @@ class Block(_Instance):
         if found == compiled.layout_id and attached.identity.record_size == compiled.size:
             return
         made_for = f"layout {compiled.layout_id} of {compiled.type_name}"
-        what = f"the program was made for {made_for}, the object has {found}"
+        what = f"the program was generated for {made_for}, but the object has {found}"
         try:
             what += f": {compiled.difference(described_layout(attached.description, where=self.topic))}"
         except ChannelError as error:
             # That the ids differ is certain; what differs only the description could tell.
-            what += f" (why cannot be said: {error.what})"
+            what += f" (the difference is unknown: {error.what})"
         raise ChannelError("SHM112", what, where=self.topic)
 
 

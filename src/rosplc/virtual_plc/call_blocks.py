@@ -222,7 +222,7 @@ class _Answerer(_CallBlock):
             self._answer = None
         self.udiCallers = self._in.udiSources
         self.age = (scan.now_ns - self._since_ns) / 1e9 if self._shown is not None else 0.0
-        self._report(ErrorNumber.ILLEGAL_STEP * self._illegal, "the call in hand does not allow this step")
+        self._report(ErrorNumber.ILLEGAL_STEP * self._illegal, "the current call does not allow this step")
         return self._shown is not None
 
     def _offer(self, scan: Scan) -> None:

@@ -196,7 +196,7 @@ class Task:
         if self._excesses_in_a_row >= self.watchdog_sensitivity and self.error is None:
             self.error = TimeoutError(
                 f"task {self.name}: a scan took {duration / 1e6:.3f} ms, "
-                f"its watchdog allows {self.watchdog_ns / 1e6:.3f} ms"
+                f"but its watchdog allows {self.watchdog_ns / 1e6:.3f} ms"
             )
             self.state = TaskState.EXCEPTION
 
@@ -256,7 +256,7 @@ class Task:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo))
         except PermissionError:
-            return "SCHED_OTHER (SCHED_FIFO is not permitted to this user)"
+            return "SCHED_OTHER (this user may not use SCHED_FIFO)"
         return f"SCHED_FIFO {fifo}"
 
 
