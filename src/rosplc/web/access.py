@@ -45,7 +45,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         if (self.allow_write or self.token_to_view) and not self.token:
-            raise ValueError("a token is needed to write, or to ask viewers for it")
+            raise ValueError("allow_write and token_to_view need a token")
 
 
 _FEWEST = 16
@@ -71,10 +71,10 @@ def read_token(path: Path) -> str:
     except OSError as error:
         raise WebError("WEB002", f"cannot be read: {error.strerror}", where=str(path)) from error
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        what = f"users other than its owner may use it: {describe_status(status)}"
+        what = f"users other than its owner have access to it: {describe_status(status)}"
         raise WebError("WEB002", what, where=str(path), remedy=f"chmod 600 {path}.")
     if not _CHARACTERS.fullmatch(text):
-        what = f"holds no token: {_FEWEST} to {_MOST} printable characters without a blank"
+        what = f"contains no token: {_FEWEST} to {_MOST} printable characters without blanks"
         raise WebError("WEB002", what, where=str(path))
     return text
 

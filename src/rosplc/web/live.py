@@ -47,7 +47,7 @@ def parse_path(text: str) -> tuple[str | int, ...]:
         steps.append(found[1] if found[2] is None else int(found[2]))
         at = found.end()
     if not steps or at != len(text):
-        raise ValueError(f"{text[:80]!r} is not the path of a field")
+        raise ValueError(f"{text[:80]!r} is not a field path")
     return tuple(steps)
 
 
@@ -89,21 +89,21 @@ class Wants:
         found = data if isinstance(data, dict) else {"messages": None}
         messages, plots = found.get("messages", []), found.get("plots", {})
         if not isinstance(messages, list) or not isinstance(plots, dict):
-            what = "a page's request is an object: `messages` is a list, `plots` an object"
+            what = "a page's request must be an object; `messages` a list, `plots` an object"
             raise WebError("WEB009", what)
         for name in [*messages, *plots]:
             if not isinstance(name, str) or len(name) > _MAX_ID:
-                raise WebError("WEB009", "a channel's id is a text")
+                raise WebError("WEB009", "a channel's id must be a string")
         fields = [path for paths in plots.values() for path in (paths if isinstance(paths, list) else [None])]
         for path in fields:
             if not isinstance(path, str):
-                raise WebError("WEB009", "the fields to plot are a list of paths")
+                raise WebError("WEB009", "the fields to plot must be a list of paths")
             try:
                 parse_path(path)
             except ValueError as error:
                 raise WebError("WEB009", str(error)) from None
         if len(messages) > MAX_MESSAGES or len(fields) > MAX_PLOTS:
-            raise WebError("WEB009", f"a page may open {MAX_MESSAGES} messages and plot {MAX_PLOTS} fields")
+            raise WebError("WEB009", f"the limits are {MAX_MESSAGES} messages and {MAX_PLOTS} fields to plot")
         return cls(frozenset(messages), {name: frozenset(paths) for name, paths in plots.items() if paths})
 
 
@@ -250,8 +250,8 @@ class Feed:
                     self._fail(str(error))
                 except Exception as error:
                     # A look at what somebody else has made must not end all looks.
-                    _log.exception("a look failed")
-                    self._fail(f"A look failed: {type(error).__name__}: {error}")
+                    _log.exception("reading the channels failed")
+                    self._fail(f"Reading the channels failed: {type(error).__name__}: {error}")
                 self._hurry.clear()
                 # No wait_for: before Python 3.12 it may swallow the cancellation that ends this.
                 alarm = loop.call_later(_TURN_SECONDS if wanted else _IDLE_SECONDS, self._hurry.set)
@@ -498,7 +498,7 @@ async def _receive(socket: web.WebSocketResponse, seconds: float | None) -> dict
         if message.type in (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED, WSMsgType.ERROR):
             return None
         if message.type is WSMsgType.BINARY:
-            raise WebError("WEB009", "a message of bytes")
+            raise WebError("WEB009", "binary messages are not accepted")
     try:
         data = json.loads(message.data)
     except (ValueError, RecursionError):

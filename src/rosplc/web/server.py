@@ -112,10 +112,10 @@ class _Api:
         wish = await _json(request)
         channel, layout, message = wish.get("channel"), wish.get("layout"), wish.get("message")
         if not isinstance(channel, str) or not isinstance(layout, str) or not isinstance(message, dict):
-            raise WebError("WEB009", "`channel` and `layout` are texts, `message` an object")
+            raise WebError("WEB009", "`channel` and `layout` must be strings, `message` an object")
         view = self._channel(channel)
         if view["kind"] != "topic":
-            raise WebError("WEB008", "calls are made by the PLC or in ROS, not here", where=view["label"])
+            raise WebError("WEB008", "calls can only be made by the PLC or in ROS", where=view["label"])
         namespace = Namespace(view["prefix"], self._settings.directory)
         who = f"the page at {request.remote}"
         try:
@@ -143,9 +143,9 @@ class _Api:
     def _channel(self, channel: str) -> dict[str, Any]:
         view = self.feed.channels.get(channel)
         if view is None:
-            raise WebError("WEB008", "there is no such channel now", where=channel[:200])
+            raise WebError("WEB008", "there is no such channel at present", where=channel[:200])
         if view["classic"]:
-            raise WebError("WEB008", "a classic topic's memory describes no type", where=view["topic"])
+            raise WebError("WEB008", "a classic topic's memory has no type description", where=view["topic"])
         return view
 
     async def _require_token(self, request: web.Request) -> None:
@@ -154,7 +154,7 @@ class _Api:
         except WebError:
             # Nobody guesses 144 bits; a short token of somebody's own deserves the brake.
             await asyncio.sleep(0.5)
-            _log.warning("a request from %s had a wrong token", request.remote)
+            _log.warning("a request from %s had the wrong token", request.remote)
             raise
 
     async def _in_thread(self, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -172,7 +172,7 @@ def _refuse_constant(name: str) -> float:
 
 async def _json(request: web.Request) -> dict[str, Any]:
     if request.content_type != "application/json":
-        raise WebError("WEB009", "a message is sent as application/json")
+        raise WebError("WEB009", "the message must be sent as application/json")
     try:
         # The bytes, since text() would look up whatever charset the request names.
         body = await asyncio.wait_for(request.read(), BODY_SECONDS)

@@ -155,7 +155,7 @@ def write_message(
     with attach_object(namespace, topic) as attached:
         layout = layout_of(attached)
         if layout.layout_id != layout_id:
-            what = "the channel's layout is not the form's"
+            what = "the layout of the channel differs from that of the form"
             raise WebError("WEB010", what, where=topic, remedy="Open the form again.")
         record = bytes(layout.pack(from_form(form_of(layout), message, not_finite=not_finite)))
         writer = attached.snapshot().writer
@@ -196,6 +196,6 @@ def _to_plc(namespace: Namespace, attached: Attached, record: bytes, stamp_ns: i
             return _publish(channel.region, True, channel.description.topic, record, stamp_ns)
     except ChannelError as error:
         if error.code == "SHM116":
-            what = "a bridge has the channel, and writes what comes from ROS"
+            what = "a bridge holds the channel and writes the messages from ROS"
             raise WebError("WEB010", what, where=attached.description.topic) from error
         raise

@@ -96,7 +96,7 @@ function showCounts() {
   const events = byId("event-count");
   events.hidden = !unread;
   setText(events, unread > 99 ? "99+" : String(unread));
-  setAttribute(events, "aria-label", unread ? `${unread} new troubles` : null);
+  setAttribute(events, "aria-label", unread ? `${unread} new problems` : null);
 }
 
 const LINKS = {
@@ -117,7 +117,7 @@ function showLink() {
 function showBanner() {
   const banner = byId("banner");
   const texts = [];
-  if (store.link === "lost") texts.push("The server does not answer. What is shown is what it said last; the page comes back by itself.");
+  if (store.link === "lost") texts.push("The server is not responding. The page shows the last values and reconnects automatically.");
   if (store.failure) texts.push(store.failure);
   texts.push(...store.notes);
   banner.hidden = !texts.length;

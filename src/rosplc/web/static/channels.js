@@ -51,7 +51,7 @@ export function channelList(selected) {
       el("th", { scope: "col", class: "col-way" }, "Way"),
       el("th", { scope: "col", class: "num col-rate" }, "Rate ", el("small", {}, "1/s")),
       el("th", { scope: "col", class: "num" }, "Age"),
-      el("th", { scope: "col", class: "num col-lost", title: "Messages that a reader missed; one that takes the newest alone misses by design" }, "Missed"),
+      el("th", { scope: "col", class: "num col-lost", title: "Messages that a reader missed; a reader that takes only the newest misses some by design" }, "Missed"),
       el("th", { scope: "col", class: "num col-refused" }, "Refused"),
     )),
   );
@@ -187,9 +187,9 @@ export function channelList(selected) {
   }
 
   function nothing(total) {
-    if (total) return "No channel is like this.";
+    if (total) return "No channel matches.";
     if (store.link !== "live" || !store.timeMs) return "Looking …";
-    return "There are no channels on this machine. Start a bridge (rosplc run rosplc.yaml) or the demonstration (rosplc demo): they appear here by themselves.";
+    return "There are no channels on this machine. Start a bridge (rosplc run rosplc.yaml) or the demonstration (rosplc demo): they appear here automatically.";
   }
 
   return { root, update };

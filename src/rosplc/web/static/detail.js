@@ -18,14 +18,14 @@ export function channelDetail(id, plots) {
   const words = el("p", { class: "words" });
   const type = el("p", { class: "detail-type" });
   const stations = new Map();
-  const path = el("ol", { class: "path", "aria-label": "The way of a message" });
+  const path = el("ol", { class: "path", "aria-label": "Path of a message" });
   const curve = sparkline("Messages per second over the last minutes");
   const facts = new Map();
   const factList = el("dl", { class: "facts" });
   const body = el("div", { class: "message-body" }, el("p", { class: "empty" }, "Looking …"));
   const about = el("p", { class: "message-about" });
   const writing = el("div", { class: "writing" });
-  const own = eventList((event) => event.channel === id, { limit: 8, topic: false, empty: "Nothing happened here since this page looks." });
+  const own = eventList((event) => event.channel === id, { limit: 8, topic: false, empty: "No events here since this page was opened." });
   const root = el("section", { class: "panel detail", "aria-labelledby": "detail-title" },
     el("div", { class: "panel-head" },
       el("a", { class: "button back", href: "#/channels" }, "‹ All channels"),
@@ -59,7 +59,7 @@ export function channelDetail(id, plots) {
       station.root = el("li", { class: "station" }, el("span", { class: "station-name" }, name), station.mark, station.text);
       stations.set(key, station);
     }
-    const [word, tone] = alive === true ? ["alive", "good"] : alive === false ? ["not there", "bad"] : ["unknown", "quiet"];
+    const [word, tone] = alive === true ? ["alive", "good"] : alive === false ? ["absent", "bad"] : ["unknown", "quiet"];
     station.mark.update(word, tone);
     setText(station.text, text);
     return station.root;
@@ -72,7 +72,7 @@ export function channelDetail(id, plots) {
     const ros = showStation("ros", "ROS", peers === null ? "not counted" : peers === 1 ? `1 ${noun}` : `${peers} ${noun}s`, peers === null ? null : peers > 0);
     const bridge = showStation("bridge", "Bridge", channel.bridge ? `${channel.bridge}${channel.bridge_pid ? `, process ${channel.bridge_pid}` : ""}` : "none", channel.bridge_alive);
     const tasks = channel.readers.filter((reader) => reader.alive !== false && (toPlc || reader.index > 0)).map((reader) => reader.task || `process ${reader.pid}`);
-    const plc = showStation("plc", "PLC", toPlc ? (tasks.length ? `read by ${tasks.join(", ")}` : "nobody reads") : channel.plc_alive ? "writes" : "nobody writes", channel.plc_alive);
+    const plc = showStation("plc", "PLC", toPlc ? (tasks.length ? `read by ${tasks.join(", ")}` : "no reader") : channel.plc_alive ? "writes" : "no writer", channel.plc_alive);
     const order = toPlc ? [ros, bridge, plc] : [plc, bridge, ros];
     if (order.some((station, index) => path.children[index] !== station)) fill(path, order);
   }
@@ -81,7 +81,7 @@ export function channelDetail(id, plots) {
     const channel = store.channels.get(id);
     if (!channel) {
       setText(title, store.link === "live" && store.timeMs ? "This channel is gone" : "Looking …");
-      setText(words, store.link === "live" && store.timeMs ? "No object has its name now. If it comes back, it is shown here." : "");
+      setText(words, store.link === "live" && store.timeMs ? "No object has this name at present. If it returns, it is shown here." : "");
       setAttribute(root, "data-gone", "");
       state.update("gone", "quiet");
       return;
@@ -101,7 +101,7 @@ export function channelDetail(id, plots) {
     showFact("Stale after", channel.stale_after_ns ? span(channel.stale_after_ns) : "never");
     if (channel.call) {
       showFact("Newest call", channel.call.number ? `${count(channel.call.number)}, ${channel.call.status}` : "none", channel.call.open ? "warn" : null);
-      showFact("Seen to end", Object.entries(channel.call.ended).map(([words, number]) => `${count(number)} ${words}`).join(", ") || "none");
+      showFact("Ended calls", Object.entries(channel.call.ended).map(([words, number]) => `${count(number)} ${words}`).join(", ") || "none");
     }
     showFact("Record", bytes(channel.record_size));
     showFact("Slots", count(channel.slots));

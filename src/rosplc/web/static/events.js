@@ -14,7 +14,7 @@ const WORDS = {
 };
 
 /** Make a list of the events that `fits` accepts. */
-export function eventList(fits, { limit = 300, topic = true, empty = "Nothing happened since this page looks." } = {}) {
+export function eventList(fits, { limit = 300, topic = true, empty = "No events since this page was opened." } = {}) {
   const items = el("ol", { class: "events", reversed: true });
   const none = el("p", { class: "empty" }, empty);
   const root = el("div", { class: "event-list" }, none, items);
@@ -68,9 +68,9 @@ export function eventsView() {
   const only = el("button", {
     type: "button", class: "button", "aria-pressed": "false",
     onclick: () => { grave = !grave; setAttribute(only, "aria-pressed", grave); list.update(true); },
-  }, "Troubles only");
+  }, "Problems only");
   const root = el("section", { class: "panel whole", "aria-labelledby": "events-title" },
-    el("div", { class: "panel-head" }, el("h1", { id: "events-title" }, "Events"), el("p", { class: "words" }, "Newest first, since the server looks."), el("div", { class: "tools" }, search, only)),
+    el("div", { class: "panel-head" }, el("h1", { id: "events-title" }, "Events"), el("p", { class: "words" }, "Newest first, since the server started."), el("div", { class: "tools" }, search, only)),
     el("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "List of events" }, list.root));
   store.on("events", () => list.update(), stop.signal);
   store.on("hello", () => list.update(true), stop.signal);

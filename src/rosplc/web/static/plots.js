@@ -86,7 +86,7 @@ export function plotsView(plots) {
 
   function setPaused(on) {
     paused = on ? Date.now() + store.clockOffset : null;
-    setText(pause, on ? "Go on" : "Pause");
+    setText(pause, on ? "Resume" : "Pause");
     setAttribute(pause, "aria-pressed", on);
     draw(true);
   }
@@ -100,7 +100,7 @@ export function plotsView(plots) {
     const groups = together && plots.fields.length ? [plots.fields] : plots.fields.map((field) => [field]);
     lanes = groups.map((fields) => lane(fields));
     fill(area, lanes.length ? lanes.map((each) => each.root) : el("p", { class: "empty" },
-      "Nothing is plotted yet. Open a channel and press “Plot” beside a number; several may be plotted at once."));
+      "Nothing is plotted yet. Open a channel and press “Plot” next to a number; several fields may be plotted at once."));
     for (const button of [pause, merge, clear]) button.disabled = !plots.fields.length;
     draw(true);
   }

@@ -45,7 +45,7 @@ export async function ask(path, body = null) {
   try {
     response = await fetch(path, options);
   } catch {
-    throw { code: "", what: "the server does not answer", where: "", remedy: "Is rosplc web still running?" };
+    throw { code: "", what: "the server is not responding", where: "", remedy: "Is rosplc web still running?" };
   }
   let answer = {};
   try {

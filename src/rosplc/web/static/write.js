@@ -27,10 +27,10 @@ export function writeForm(id, { form, layout, initial }) {
   const root = el("details", { class: "write" },
     el("summary", {}, "Write a test message"),
     el("form", { novalidate: true, onsubmit: (event) => { event.preventDefault(); askFirst(); } },
-      el("p", { class: "hint" }, "The message is written once, if nobody else writes this channel. Who reads it acts on it as on any other."),
+      el("p", { class: "hint" }, "The message is written once, if nothing else writes to this channel. The reader acts on it as on any other message."),
       el("div", { class: "tools" }, take, reset),
       inputs.root,
-      el("div", { class: "form-row" }, el("label", { for: "write-token" }, "Token"), key, el("span", { class: "hint" }, "as the server printed it, or in its file")),
+      el("div", { class: "form-row" }, el("label", { for: "write-token" }, "Token"), key, el("span", { class: "hint" }, "printed by the server when it started, or in its token file")),
       el("div", { class: "tools" }, send),
       result),
     question.root);
@@ -48,7 +48,7 @@ export function writeForm(id, { form, layout, initial }) {
       return;
     }
     if (!key.value) {
-      show("The token is needed to write.", "bad");
+      show("A token is needed to write.", "bad");
       key.focus();
       return;
     }
@@ -82,7 +82,7 @@ export function writeForm(id, { form, layout, initial }) {
 function dialog(yes) {
   const title = el("h2", { id: "write-title" });
   const values = el("pre", { class: "values", tabindex: "0", "aria-label": "The values" });
-  const warning = el("p", { class: "tone-bad" }, "The message has numbers that are not finite (nan, inf). A PLC program computes with them as with any other.");
+  const warning = el("p", { class: "tone-bad" }, "The message has numbers that are not finite (nan, inf). A PLC program calculates with them as with any other number.");
   let message = null;
   const close = el("button", { type: "button", class: "button", onclick: () => root.close() }, "Do not write");
   const root = el("dialog", { class: "dialog", "aria-labelledby": "write-title" },
