@@ -110,7 +110,7 @@ class ClassicState:
             return "none"
         if self.value is None:
             return "not readable" if Path(f"/dev/shm/sem.{self.semaphore}").exists() else "missing"
-        return {0: "taken", 1: "free"}.get(self.value, f"lets in {self.value}")
+        return {0: "taken", 1: "free"}.get(self.value, f"admits {self.value}")
 
 
 def look_at(plan: TopicPlan) -> ClassicState:
@@ -213,5 +213,5 @@ class ClassicWatch:
         if found.lock in ("missing", "not readable"):
             return State.UNREADABLE, f"its semaphore {found.semaphore} is {found.lock}"
         if stale:
-            return State.STALE, "the record does not change for longer than it may"
+            return State.STALE, "the record has not changed for longer than allowed"
         return State.OK, f"classic memory, lock: {found.lock}"

@@ -274,29 +274,29 @@ def judge(
     to_plc = seen.direction == "to_plc"
     if seen.bridge_alive is False:
         if seen.bridge_pid:
-            return State.DEAD, f"the bridge does not beat any more; it was process {seen.bridge_pid}"
-        return State.NO_BRIDGE, "the bridge has ended; this is what it left"
+            return State.DEAD, f"the heartbeat of the bridge has stopped; it was process {seen.bridge_pid}"
+        return State.NO_BRIDGE, "the bridge has ended; its last message remains"
     if seen.plc_alive is False and seen.plc_claimed:
         if to_plc:
             tasks = ", ".join(reader.task or f"process {reader.pid}" for reader in seen.readers)
-            return State.DEAD, f"the PLC task that reads it does not beat any more: {tasks}"
-        return State.DEAD, "the PLC task that writes it does not beat any more"
+            return State.DEAD, f"the heartbeat of the PLC task that reads it has stopped: {tasks}"
+        return State.DEAD, "the heartbeat of the PLC task that writes it has stopped"
     if starting:
         return (
             State.UNKNOWN,
-            f"the bridge is starting, and does not beat yet; it is process {seen.bridge_pid}",
+            f"the bridge is starting and sends no heartbeat yet; it is process {seen.bridge_pid}",
         )
     if refused_lately:
-        return State.REFUSED, "messages do not fit and are refused; the bridge's log says why"
+        return State.REFUSED, "messages do not fit and are refused; the bridge's log shows why"
     if lost_lately:
-        return State.LOST, "messages are lost, and each one counts; raise slots: or read more per scan"
+        return State.LOST, "messages are lost although every one counts; raise slots: or read more per scan"
     # Before silence, which begins with time: the same in the first second as in the tenth.
     if seen.plc_alive is False and not seen.received:
         return _no_plc(seen)
     if seen.silent:
         return (State.STALE if seen.received else State.SILENT), silence_words(seen)
     if seen.bridge_alive is None or (seen.plc_alive is None and seen.plc_claimed):
-        return State.UNKNOWN, "looking for signs of life"
+        return State.UNKNOWN, "waiting for a heartbeat"
     if seen.plc_alive is False:
         return _no_plc(seen)
     if seen.call is not None:
@@ -304,10 +304,10 @@ def judge(
             return State.NO_SERVER, "no server in ROS is ready"
         return State.OK, seen.call.status or "no call yet"
     if seen.ros_peers == 0:
-        return State.OK, "nobody publishes" if to_plc else "nobody subscribes"
+        return State.OK, "no publisher" if to_plc else "no subscriber"
     if not seen.received:
         return State.OK, "no message yet"
-    return State.OK, "messages come" if seen.rate_hz else "no message at present, which is allowed"
+    return State.OK, "messages arrive" if seen.rate_hz else "no message at present, which is allowed"
 
 
 def _no_plc(seen: ChannelView) -> tuple[State, str]:
@@ -325,11 +325,11 @@ def silence_words(seen: ChannelView) -> str:
     source = "ROS" if to_plc else "the PLC"
     nobody = to_plc and seen.ros_peers == 0
     if not seen.received:
-        return f"no message yet from {source}" + (": nobody publishes" if nobody else "")
+        return f"no message yet from {source}" + (": no publisher" if nobody else "")
     if not seen.stale:
-        return f"messages come again from {source}, after silence"
-    gone = "; nobody publishes any more" if nobody else ""
-    return f"no message from {source} for longer than it may be silent{gone}"
+        return f"messages from {source} have resumed after silence"
+    gone = "; no publisher is left" if nobody else ""
+    return f"no message from {source} for longer than allowed{gone}"
 
 
 MARKS = {Level.OK: " ", Level.WARN: "!", Level.ERROR: "X", Level.STALE: "~"}
@@ -412,7 +412,7 @@ def channel_events(
             silent.discard(identifier)
         elif identifier in silent and not view.silent:
             silent.discard(identifier)
-            yield _event(time_ns, "recovered", view, "messages come again")
+            yield _event(time_ns, "recovered", view, "messages have resumed")
         elif view.silent and view.stale and identifier not in silent and view.state not in _NO_SILENCE:
             silent.add(identifier)
             words = view.words if view.classic else silence_words(view)
@@ -435,7 +435,7 @@ def _changes(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[
     if before.generation != after.generation:
         what = "the object was replaced"
         if before.layout_id != after.layout_id:
-            what += f", and has another layout: {after.type_name}, {after.record_size} bytes"
+            what += f" and has another layout: {after.type_name}, {after.record_size} bytes"
         yield _event(time_ns, "replaced", after, what, Level.WARN)
         return
     yield from _counters(before, after, time_ns)
@@ -443,7 +443,7 @@ def _changes(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[
         way = "reads" if after.direction == "to_plc" else "writes"
         yield _event(time_ns, "plc-gone", after, f"no PLC task {way} it any more", Level.ERROR)
     elif before.plc_alive is False and after.plc_alive:
-        yield _event(time_ns, "plc-back", after, "a PLC task is there again")
+        yield _event(time_ns, "plc-back", after, "a PLC task uses it again")
 
 
 def _counters(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[Event]:
@@ -467,11 +467,11 @@ def bridge_events(
             continue
         who = f"bridge {bridge.name}" + (f", process {bridge.pid}," if bridge.pid else "")
         if bridge.alive is False and earlier.alive:
-            level, what = (Level.ERROR, "does not beat any more") if bridge.pid else (Level.WARN, "has ended")
+            level, what = (Level.ERROR, "has no heartbeat") if bridge.pid else (Level.WARN, "has ended")
             words = f"{who} {what}" + (f": {bridge.process}" if bridge.process else "")
             yield Event(time_ns, "bridge-gone", level, "", bridge.prefix, "", words)
         elif bridge.alive and earlier.alive is False:
-            yield Event(time_ns, "bridge-back", Level.OK, "", bridge.prefix, "", f"{who} beats again")
+            yield Event(time_ns, "bridge-back", Level.OK, "", bridge.prefix, "", f"{who} is alive again")
 
 
 def grouped(events: Iterable[Event]) -> list[Event]:

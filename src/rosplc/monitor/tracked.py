@@ -95,7 +95,7 @@ class Rate:
 
 
 _STOPPED = ("T", "t")
-_THERE = "that process is there, but hangs"
+_THERE = "that process is running, but hangs"
 _YOUNG_S = 30.0  # a bridge claims its objects, joins ROS, and only then beats
 _START_TIME = 19  # index of the start among the fields behind the name, in ticks since the machine's start
 
@@ -130,7 +130,7 @@ def process_words(pid: int, proc: Path = Path("/proc")) -> str:
     if state == "Z":
         return "that process has ended"
     if b"rosplc" not in command and b"python" not in command:
-        return "that number is another program's"
+        return "that process ID belongs to another program"
     return "that process is stopped (SIGSTOP)" if state in _STOPPED else _THERE
 
 
@@ -168,7 +168,7 @@ class Tracked:
         except ChannelError:
             stands_right = False
         if not stands_right:
-            what = f"it describes {description.topic[:80]!r}, which has another name"
+            what = f"it describes {description.topic[:80]!r}, whose object has another name"
             raise channel_error(113, what, attached.path)
         self.name = name
         self.prefix = namespace.prefix

@@ -146,7 +146,7 @@ class Watch:
         if not self._sound(attached):
             raise channel_error(101, where=attached.path)
         if attached.identity.record_size > MAX_RECORD:
-            what = f"a message of {attached.identity.record_size >> 20} MiB is too large to be shown"
+            what = f"a message of {attached.identity.record_size >> 20} MiB is too large to show"
             raise channel_error(112, what, attached.path)
         layout = layout_of(attached)
         found = Reader(attached.region, 0).peek_record()
@@ -191,7 +191,7 @@ class Watch:
                     found[entry.name] = _File(entry.name, named.prefix, status.st_ino, status.st_size)
         except OSError as error:
             raise channel_error(123, f"cannot list: {error.strerror}", self._directory) from error
-        return found, ((f"{more} more objects are not looked at",) if more else ())
+        return found, ((f"{more} more objects are not examined",) if more else ())
 
     def _view(self, file: _File, now: int, wall: int) -> ChannelView:
         error: ChannelError
@@ -259,7 +259,7 @@ class Watch:
                 prefix=prefix,
                 topic=topic,
                 state=State.MISSING,
-                words="the configuration has it, and there is no object: its bridge does not run",
+                words="it is configured, but there is no object: its bridge is not running",
                 code="SHM101",
                 configured=True,
                 kind=part.kind,

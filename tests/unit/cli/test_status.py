@@ -72,7 +72,7 @@ def test_what_is_wrong_is_said_in_words_and_ends_with_status_1(shm_namespace, mo
     shm_namespace.path("/broken").write_bytes(b"\x1b" * 600)
     output = rosplc("status", "--prefix", shm_namespace.prefix, code=1).output
     side.close()
-    assert f"/n: dead: the bridge does not beat any more; it was process {os.getpid()}" in output
+    assert f"/n: dead: the heartbeat of the bridge has stopped; it was process {os.getpid()}" in output
     assert "/broken: unreadable: " in output
     assert "[SHM104]" in output
     assert "\x1b" not in output

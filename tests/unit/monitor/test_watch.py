@@ -169,7 +169,7 @@ def test_silence_is_stale_after_the_time_allowed_and_half_a_second(cell):
     picture, kinds = settle(cell, watch, side, reader, looks=2)
     assert (only(picture).state, kinds) == (State.STALE, ["stale"])
     side.writer.set_sources(0)
-    assert "nobody publishes any more" in only(watch.look()).words
+    assert "no publisher is left" in only(watch.look()).words
     side.send(data=2.0)
     picture, kinds = settle(cell, watch, side, reader, looks=1)
     assert (only(picture).stale, only(picture).state, kinds) == (False, State.STALE, [])
@@ -238,7 +238,7 @@ def test_a_topic_without_any_message_is_silent(cell):
     picture, _ = settle(cell, watch, side, reader, looks=8)
     view = only(picture)
     assert (view.state, view.age_ns) == (State.SILENT, None)
-    assert view.words == "no message yet from ROS: nobody publishes"
+    assert view.words == "no message yet from ROS: no publisher"
 
 
 def test_a_configuration_decides_what_is_stale_and_lost(cell):
@@ -417,7 +417,7 @@ def test_too_many_objects_are_said(cell, tmp_path, monkeypatch):
         (tmp_path / f"{cell.namespace.prefix}.t.n{number}").touch()
     picture = cell.watch(directory=str(tmp_path)).look()
     assert len(picture.channels) == 3
-    assert picture.notes == ("2 more objects are not looked at",)
+    assert picture.notes == ("2 more objects are not examined",)
     assert MAX_CHANNELS >= 1000
 
 

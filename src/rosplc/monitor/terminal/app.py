@@ -68,7 +68,7 @@ class Course(Vertical):
         figures = self.query_one("#course-figures", Static)
         shown = values[-max(1, self.size.width) :]
         if not shown:
-            name.update(Text("There is no number in it", style="dim"))
+            name.update(Text("It contains no number", style="dim"))
             figures.update("")
             bars.data = []
             return
@@ -350,7 +350,7 @@ class OverviewScreen(Screen[None]):
         yield Static(id="head")
         yield Static(_NONE, id="nothing", markup=False)
         yield ChannelTable()
-        yield Input(placeholder="words in topic, type, bridge or state", id="filter", compact=True)
+        yield Input(placeholder="text in topic, type, bridge or state", id="filter", compact=True)
         yield Static(id="chosen")
         yield Static(id="events")
         yield Footer()
@@ -429,7 +429,7 @@ class OverviewScreen(Screen[None]):
             )
             for event in newest
         )
-        box.update(text if newest else plain(" Nothing happened since the start.", "dim"), layout=False)
+        box.update(text if newest else plain(" No events since the start.", "dim"), layout=False)
 
     def on_data_table_row_highlighted(self, event: ChannelTable.RowHighlighted) -> None:
         """Tell about the row under the cursor."""
@@ -506,37 +506,37 @@ _TEXT = """\
 KEYS
   Up Down PgUp PgDn   move
   Enter               the channel's message with live values
-  s, r                sort by the next column, the other way round
-  /                   only rows with these words; Esc: all again
-  w                   only what is wrong
-  p                   pause: the picture stands, the machine does not
+  s, r                sort by the next column; reverse the order
+  /                   only rows with this text; Esc: all rows
+  w                   only channels with a problem
+  p                   pause the display; the machine keeps running
   Esc                 back
   q, Ctrl-C           quit
 
-STATES, the worst first; what is wrong has a mark before it
-X unreadable  the object cannot be used: damaged, or closed to you
-X missing     the configuration has it, and there is no object
-X dead        bridge or PLC hold it, and do not beat any more
-! no bridge   the bridge ended in order, and left the last message
-! refused     messages did not fit, within the last ten seconds
-! lost        messages were lost where each one counts
+STATES, worst first; a mark precedes each problem
+X unreadable  the object is damaged, or you may not read it
+X missing     it is configured, but there is no object
+X dead        the heartbeat of its bridge or PLC has stopped
+! no bridge   the bridge was stopped; its last message remains
+! refused     in the last ten seconds messages did not fit
+! lost        messages were lost although every one counts
 ~ stale       the newest message is older than stale_after
-~ silent      no message yet, for longer than stale_after
-! no PLC      no PLC task reads it, or writes it
-! no server   no server in ROS is ready for what the PLC calls
-  looking     watched for too short a time to say who lives
+~ silent      still no message after stale_after
+! no PLC      no PLC task reads or writes it
+! no server   no ROS server is ready for calls of the PLC
+  looking     not yet watched long enough to see a heartbeat
   ok          nothing is wrong
 
 COLUMNS
   per s   messages per second, over the last seconds
   age     time since the newest message
-  lost    messages that a reader missed; one that takes the
-          newest alone misses by design
-  refd    messages that were refused: they do not fit
-  PLC     whether the PLC's task beats
+  lost    messages that a reader missed; a reader that takes
+          only the newest misses some by design
+  refd    messages that were refused because they did not fit
+  PLC     whether the PLC task sends a heartbeat
 
-Without --config, 1 s without a message towards the PLC is stale,
-and towards ROS no silence is. Nothing here writes anything.
+Without --config, a channel to the PLC is stale after 1 s without
+a message, one to ROS never. This program only reads.
 """
 
 
