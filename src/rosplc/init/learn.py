@@ -93,7 +93,7 @@ class Definitions:
         return MessageTypeError(
             "TYP001",
             f"{type_name} is unknown in {self.store.distro}{more}",
-            remedy="Name the folder of its package with --types, or source the setup.bash of a "
+            remedy="Give the folder of its package with --types, or source the setup.bash of a "
             "workspace that has it.",
         )
 
@@ -144,14 +144,14 @@ def learn(definitions: Definitions, backend: Backend, topic: str, type_name: str
     ends = [end for end in graph.endpoints if (end.topic, end.type_name) == (topic, type_name)]
     ends.sort(key=lambda end: end.direction == "in")  # publishers first
     nodes = {end.node: end.type_hash for end in ends if end.node and end.type_hash}
-    trouble = f"no node uses {topic} with it"
+    trouble = f"no node uses {topic} with this type"
     if ends and not nodes:
-        trouble = "its nodes announce no type hash, as those of Humble do not"
+        trouble = "its nodes do not announce a type hash, as in Humble"
     for node, type_hash in list(nodes.items())[:_MOST_NODES]:
         service = f"{node}/get_type_description"
         try:
             if servers and service not in servers:
-                raise _refused("it has no such service")
+                raise _refused("it does not have the service")
             answer = _ask(backend, definitions.store, service, type_name, type_hash)
             take(definitions, answer, type_name, type_hash, f"node {node}")
         except RosplcError as error:
@@ -166,7 +166,7 @@ def _ask(
 ) -> dict[str, Any]:
     """Return a node's answer; raises MessageTypeError TYP010 or CodecError."""
     if f"{_SERVICE}_Request" not in store:
-        raise _refused(f"{store.distro} has no service for that; ros.distro decides")
+        raise _refused(f"{store.distro} (ros.distro) has no service for type descriptions")
     request = {"type_name": type_name, "type_hash": type_hash, "include_type_sources": True}
     replies: queue.SimpleQueue[Reply] = queue.SimpleQueue()
     client = backend.client(service, _SERVICE, SERVICES)
@@ -180,13 +180,13 @@ def _ask(
         client.call(pack(store, f"{_SERVICE}_Request", request), replies.put)
         reply = replies.get(timeout=_PATIENCE_S)
     except queue.Empty:
-        raise _refused(f"no answer within {_PATIENCE_S:g} s") from None
+        raise _refused(f"it did not answer within {_PATIENCE_S:g} s") from None
     finally:
         client.close()
     if reply.payload is None:
         raise _refused(reply.text or reply.outcome)
     if len(reply.payload) > MAX_TEXT:
-        raise _refused(f"its answer has {len(reply.payload)} bytes, more than {MAX_TEXT}")
+        raise _refused(f"its answer has {len(reply.payload)} bytes; the limit is {MAX_TEXT}")
     return unpack_whole(store, f"{_SERVICE}_Response", reply.payload)
 
 
@@ -222,7 +222,7 @@ def take(
 def _described(answer: Mapping[str, Any], type_name: str, type_hash: str) -> TypeStore:
     """Return what an answer describes, and nothing else."""
     if not answer["successful"]:
-        raise _refused(one_line(answer["failure_reason"][:200]) or "it gives no reason")
+        raise _refused(one_line(answer["failure_reason"][:200]) or "it gave no reason")
     parts = answer["type_description"]
     own, others = parts["type_description"], parts["referenced_type_descriptions"]
     if own["type_name"] != type_name:
@@ -232,7 +232,7 @@ def _described(answer: Mapping[str, Any], type_name: str, type_hash: str) -> Typ
     texts = {each["type_name"]: _text(each) for each in (own, *others)}
     store = TypeStore.from_definition(type_name, join_texts(texts))
     if (found := store.type_hash(type_name)) != type_hash:
-        raise _refused(f"it has the hash {found}, not {one_line(type_hash[:80])}")
+        raise _refused(f"its description has the hash {found}, not {one_line(type_hash[:80])}")
     return store
 
 
@@ -296,7 +296,7 @@ def _learn_all(
     try:
         backend, _ = side.open(types)
     except BackendError as error:
-        _log.warning("unknown types are not looked for in the graph: %s", error.what)
+        _log.warning("cannot look for unknown types in the graph: %s", error.what)
         return
     try:
         names = {
@@ -314,4 +314,4 @@ def _learn_all(
     folder = config.base / LEARNT
     save_definitions(definitions.texts, folder)
     for name, origin in definitions.origins.items():
-        _log.info("learnt %s from %s; kept in %s", name, origin, folder)
+        _log.info("learned %s from %s; saved in %s", name, origin, folder)

@@ -51,10 +51,10 @@ def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]
     if backend == "rospy":
         return ROS1, "the rospy backend speaks ROS 1"
     if named in DISTROS and not (named == ROS1 and backend in ("dds", "rclpy", "zenoh")):
-        return named, "ROS_DISTRO names it"
+        return named, "set by ROS_DISTRO"
     if backend == "auto" and environment.get("ROS_MASTER_URI"):
         return ROS1, "ROS_MASTER_URI is set, as for ROS 1"
-    return "jazzy", "the default; nothing here names another"
+    return "jazzy", "the default; the environment sets no other"
 
 
 class LiveRobot:
@@ -88,7 +88,7 @@ class LiveRobot:
                 graph = f"the graph of {os.environ.get('ROS_MASTER_URI') or 'http://localhost:11311'}"
             where = f"{graph}, over {choice.name}"
             self._refuse_nobody(info, where, seconds)
-            why = {"distro": "as asked for" if given else why_distro}
+            why = {"distro": "as requested" if given else why_distro}
             self.found = Found(_topics(info), where, keys, why, calls=tuple(_calls(info)))
             self._keep_environment(keys, choice)
         except BaseException:
@@ -102,7 +102,7 @@ class LiveRobot:
             plain = bool(keys.get("zenoh"))
             with contextlib.suppress(BackendError):
                 plain = plain or choose(str(keys["distro"]), {}).name == choice.name
-            why["backend"] = f"{'here it is ' if plain else ''}{choice.name}, because {choice.why}"
+            why["backend"] = f"{'chosen here: ' if plain else ''}{choice.name}, because {choice.why}"
             if not plain:
                 keys["backend"], why["backend"] = choice.name, choice.why
         if (
@@ -110,11 +110,11 @@ class LiveRobot:
             and "domain" not in keys
             and (domain := getattr(self._backend, "domain", 0))
         ):
-            keys["domain"], why["domain"] = domain, "as ROS_DOMAIN_ID says here"
+            keys["domain"], why["domain"] = domain, "set by ROS_DOMAIN_ID"
         notes = self.found.notes
         if present := [name for name in _LEADS_THERE.get(choice.name, ()) if os.environ.get(name)]:
             words = f"{', '.join(present)} {'is' if len(present) == 1 else 'are'} set here"
-            more = "a bridge that is started elsewhere, such as a service, needs the same to get there."
+            more = "a bridge that is started elsewhere, such as a service, needs the same to connect."
             notes = (*notes, f"{words}: {more}")
         self.found = replace(self.found, why=why, notes=notes)
 
@@ -131,8 +131,8 @@ class LiveRobot:
         if not hashes or ours in silent or self._types.type_hash(type_name) in hashes:
             return
         also = [name for name in DISTROS if name not in silent and _hash(name, type_name) in hashes]
-        hint = f"; it is that of {', '.join(also)}: name one with --distro" if also else ""
-        note = f"{topic}: the robot's definition of {type_name} is not that of {ours}{hint}."
+        hint = f"; it matches {', '.join(also)}: choose one with --distro" if also else ""
+        note = f"{topic}: the robot's definition of {type_name} differs from that of {ours}{hint}."
         self.found = replace(self.found, notes=(*self.found.notes, note))
 
     def listen(
@@ -187,8 +187,8 @@ class LiveRobot:
             subscription.close()
         if status.code in _UNREACHABLE:
             raise BackendError(status.code, status.reason)
-        who = f"{len(info.nodes)} nodes and no topic" if info.nodes else "no node"
-        raise BackendError("ROS020", f"{who} in {where}, within {seconds:g} s{elsewhere(where)}")
+        who = f"{len(info.nodes)} nodes, but no topic" if info.nodes else "no node"
+        raise BackendError("ROS020", f"{who} found in {where} within {seconds:g} s{elsewhere(where)}")
 
     def close(self) -> None:
         """Leave the graph."""
@@ -246,7 +246,7 @@ def _calls(info: GraphInfo) -> Iterator[Call]:
         why = (
             f"{', '.join(servers)} serves it"
             if servers
-            else f"{', '.join(clients)} calls it, no node serves it"
+            else f"{', '.join(clients)} calls it, but no node serves it"
         )
         yield Call(kind, name, type_name, "ros" if servers else "plc", why)
 
@@ -273,7 +273,7 @@ def elsewhere(where: str) -> str:
     if not others:
         return ""
     named = ", ".join(map(str, others[:5])) + (" and others" if len(others) > 5 else "")
-    return f"; nodes are in domain {named}: set ROS_DOMAIN_ID or ros.domain"
+    return f"; there are nodes in domain {named}: set ROS_DOMAIN_ID or ros.domain"
 
 
 def domains_in_use(seconds: float, proc: Path = Path("/proc")) -> set[int]:

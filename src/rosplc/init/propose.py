@@ -33,10 +33,10 @@ _LARGEST = 128 * 1024 * 1024  # with four slots half a gigabyte: no topic for a 
 
 RULES = (
     f"Strings: twice the longest seen, rounded up to a multiple of {_STRING_STEP}, at least {_STRING_LEAST} "
-    f"bytes. Sequences: half as many again as the most seen, rounded up to a multiple of {_SEQUENCE_STEP}; "
-    f"where all of {_SURE} messages or more had the same number, that number. With fewer than {_SURE} "
-    "messages nothing is lowered below the default. "
-    "A message that exceeds a limit is refused and counted, never cut."
+    f"bytes. Sequences: 1.5 times the longest seen, rounded up to a multiple of {_SEQUENCE_STEP}; if the "
+    f"length was the same in all of at least {_SURE} messages, that length. With fewer than {_SURE} "
+    "messages, no limit is set below the default. "
+    "A message that exceeds a limit is refused and counted, never truncated."
 )
 """How limits are proposed, in words."""
 
@@ -81,12 +81,12 @@ def direction(topic: Topic) -> tuple[Literal["plc", "ros"], str]:
         return topic.carried, f"{did} when it was recorded"
     readers, writers = _listed(topic.subscribers), _listed(topic.publishers)
     if topic.publishers and topic.subscribers:
-        return "plc", f"{writers} publishes it for {readers}; the PLC listens in"
+        return "plc", f"{writers} publishes it for {readers}; the PLC subscribes, too"
     if topic.publishers:
         return "plc", f"{writers} publishes it" if topic.publishers != ("unnamed",) else "it was recorded"
     if topic.subscribers:
-        return "ros", f"{readers} subscribes to it, and nobody publishes it"
-    return "plc", "nobody publishes it, and nobody subscribes to it"
+        return "ros", f"{readers} subscribes to it; it has no publisher"
+    return "plc", "it has neither publishers nor subscribers"
 
 
 def propose(
@@ -103,9 +103,9 @@ def propose(
     if layout.size > _LARGEST:
         raise LayoutError(
             "LAY003",
-            f"a record of {layout.type_name} would have {layout.size} bytes with what was seen",
+            f"a record of {layout.type_name} would have {layout.size} bytes according to the data seen",
             where=topic.name,
-            remedy="Carry a smaller topic of the robot, or write its entry and limits by hand.",
+            remedy="Carry a smaller topic of the robot, or write the entry and its limits by hand.",
         )
     if to == "plc":
         _quality(entry, topic)
@@ -122,11 +122,11 @@ def _tell(entry: Entry, topic: Topic, seen: Seen | None) -> None:
     to, (proposed, why) = entry.to, direction(topic)
     entry.about.append(f"{why[0].upper()}{why[1:]}.")
     if proposed != to:
-        entry.about.append(f"Taken {'towards the PLC' if to == 'plc' else 'from the PLC'} as asked for.")
+        entry.about.append(f"Carried {'to the PLC' if to == 'plc' else 'from the PLC'} as requested.")
     if len(topic.types) > 1:
-        entry.about.append(f"It was seen with several types: {', '.join(topic.types)}.")
+        entry.about.append(f"It has several types: {', '.join(topic.types)}.")
     if to == "ros" and topic.publishers:
-        entry.about.append("Its publishers and the PLC will both be heard.")
+        entry.about.append("Both its publishers and the PLC will publish.")
     if seen is None or (to == "ros" and not seen.messages):
         return
     if not seen.messages:
@@ -160,8 +160,8 @@ def _limits(entry: Entry, store: TypeStore, seen: Seen | None) -> Layout:
     entry.limits |= {path: item for path, item in wanted.items() if variable[path].capacity != item[0]}
     unseen = [path for path in variable if path not in wanted]
     if unseen:
-        nothing = "Empty in all of them" if wanted or (seen is not None and seen.messages) else "Not seen yet"
-        entry.about.append(f"{nothing}: {listed(unseen, 6)}; the defaults at the top hold.")
+        nothing = "Always empty" if wanted or (seen is not None and seen.messages) else "Not seen yet"
+        entry.about.append(f"{nothing}: {listed(unseen, 6)}; the defaults at the top apply.")
     return layout
 
 
@@ -179,7 +179,7 @@ def _wanted(variable: Mapping[str, StringNode | SequenceNode], seen: Seen) -> di
             why = f"always {length.most} in {seen.messages} messages"
         else:
             capacity = min(_up(length.most * _SEQUENCE_HEADROOM, _SEQUENCE_STEP), MAX_SEQUENCE)
-            why = f"most seen: {length.most}"
+            why = f"longest seen: {length.most}"
         if seen.messages < _SURE:
             capacity = max(capacity, node.capacity)
         if node.bound is not None and capacity > node.bound:
@@ -190,10 +190,10 @@ def _wanted(variable: Mapping[str, StringNode | SequenceNode], seen: Seen) -> di
 
 def _quality(entry: Entry, topic: Topic) -> None:
     if any(qos.reliability == "best_effort" for qos in topic.offered):
-        why = "a publisher is best effort: asking for reliable would get nothing of it"
+        why = "a publisher is best effort, so a reliable subscription would not match it"
         entry.settings["qos"] = "{reliability: best_effort}", why
     if _retained(topic):
-        entry.settings["latched"] = "true", "its publishers keep the last message for those who come later"
+        entry.settings["latched"] = "true", "its publishers keep the last message for late subscribers"
 
 
 def _times(entry: Entry, topic: Topic, seen: Seen | None) -> None:
@@ -264,7 +264,7 @@ def parse_wish(text: str, to: To | None = None) -> Wish:
     if pattern and not pattern.startswith(("/", "*")):
         pattern = f"/{pattern}"
     if not pattern:
-        raise ValueError(f"{text!r} names no topic")
+        raise ValueError(f"{text!r} is not a topic")
     if not equals:
         return Wish(pattern, None, to)
     return Wish(pattern, type_called(type_name), to)
@@ -321,13 +321,13 @@ def _matching(topics: Mapping[str, Topic], wish: Wish) -> list[str]:
         if wish.pattern in topics or wish.type_name:
             return [wish.pattern]
         near = nearest(wish.pattern, topics)
-        hint = f"; did you mean {near}?" if near else f"; {wish.pattern}=PACKAGE/TYPE carries it nevertheless"
+        hint = f"; did you mean {near}?" if near else f"; give {wish.pattern}=PACKAGE/TYPE to carry it"
         raise ValueError(f"no topic {wish.pattern} was found{hint}")
     found = [
         name for name in topics if fnmatch.fnmatchcase(name, wish.pattern) and not is_of_ros_itself(name)
     ]
     if not found:
-        raise ValueError(f"no topic that was found matches {wish.pattern}")
+        raise ValueError(f"no topic found matches {wish.pattern}")
     return found
 
 

@@ -46,8 +46,8 @@ class RecordedRobot:
         for each in self._recorded:
             topics.setdefault(_absolute(each.name), []).append(each)
         note = (
-            "A recording tells who published, and not who subscribes: "
-            "what the PLC should send is named with --to-ros TOPIC=TYPE."
+            "A recording shows the publishers, but not the subscribers: "
+            "use --to-ros TOPIC=TYPE for the topics that the PLC should publish."
         )
         carried = self._carried
         self.found = Found(
@@ -67,17 +67,17 @@ class RecordedRobot:
                     where=str(self._bag.path),
                     remedy="Leave --distro out, or name a distribution of that ROS version.",
                 )
-            return wanted, "as asked for"
+            return wanted, "as requested"
         if self._bag.ros_version == 1:
             return ROS1, "the recording is from ROS 1"
         if self._bag.distro in DISTROS:
-            return self._bag.distro, "the recording names it"
+            return self._bag.distro, "stated by the recording"
         if self._carried_distro in DISTROS and self._carried_distro != ROS1:
-            return self._carried_distro, "the bridge that was recorded had it"
+            return self._carried_distro, "the recorded bridge used it"
         candidates = [_NEWEST, *(name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST))]
         best = min(candidates, key=self._misfits)
-        more = "" if best == _NEWEST else "; the definitions in it fit this one best"
-        return best, f"the recording names none{more}"
+        more = "" if best == _NEWEST else "; its definitions fit this one best"
+        return best, f"the recording states none{more}"
 
     def _misfits(self, distro: str) -> int:
         """Return how many of the recording's types a distribution defines differently."""
@@ -102,7 +102,7 @@ class RecordedRobot:
             # Also where the type is known: a recording of another definition must not be measured by ours.
             self.definitions.learn(type_name, carried[0], f"the recording {self._bag.path}")
         elif not self.definitions.find_installed(type_name):
-            raise self.definitions.unknown(type_name, ", and the recording lacks it")
+            raise self.definitions.unknown(type_name, ", and the recording has no definition of it")
 
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
@@ -125,7 +125,7 @@ class RecordedRobot:
                     progress(f"{count} of {total} messages read")
         except RosplcError as error:
             trouble = error.what
-            note = f"The recording was read up to its damage: {error.what}."
+            note = f"The recording was read only up to the damaged part: {error.what}."
             self.found = replace(self.found, notes=(*self.found.notes, note))
         lasted = (last - first) / 1e9
         return {topic: meter.finish(lasted, trouble) for (topic, _), meter in meters.items()}

@@ -51,14 +51,14 @@ def configuration(
     lines += ["", f"bridge: {_value(bridge)}", "", *_ros(found), ""]
     if folders:
         paths = ", ".join(json.dumps(folder, ensure_ascii=False) for folder in folders)
-        lines += _comment("Definitions that the distribution does not have.")
+        lines += _comment("Folders with definitions that the distribution lacks.")
         lines += [f"types: {{paths: [{paths}]}}", ""]
-    lines += _comment("Room for strings (bytes) and sequences (elements) where a topic says nothing else.")
+    lines += _comment("Limits of strings (bytes) and sequences (elements) for topics without their own.")
     lines += ["limits: {string: 80, sequence: 16}", ""]
-    lines += _comment("The PLC's task that calls the blocks; the interval is that of your task.")
+    lines += _comment("The PLC task that calls the blocks; set the interval of your task.")
     lines += ["tasks:", "  RosTask: {interval: 10ms, priority: 4}", ""]
     if any(entry.limits for entry in entries):
-        lines += _comment(f"Limits below come from data that was seen. {RULES}")
+        lines += _comment(f"The limits below are based on the data seen. {RULES}")
     lines.append("topics:" if entries else "topics: {}")
     for number, entry in enumerate(entries):
         lines += [*([""] if number else []), *_topic(entry)]
@@ -69,11 +69,9 @@ def configuration(
 
 def _calls(found: Found) -> Iterator[str]:
     """Yield the services and actions that were found, as comments: people decide which the PLC is to have."""
-    more = (
-        "Remove the marks of those that the PLC is to call (`server: ros`) or to carry out (`server: plc`)."
-    )
+    more = "Uncomment those that the PLC should call (`server: ros`) or execute (`server: plc`)."
     yield from _comment(
-        f"Services and actions of the graph. {more}" if found.calls else "No service was found."
+        f"Services and actions of the graph. {more}" if found.calls else "No service or action was found."
     )
     for kind in ("service", "action"):
         rows = [
@@ -91,7 +89,7 @@ def refuse_to_overwrite(path: Path, *, force: bool) -> None:
     if os.path.lexists(path) and not force:
         raise ConfigError("CFG013", f"{path} exists already", where=str(path))
     if path.is_dir():
-        raise ConfigError("CFG014", "is a folder", where=str(path))
+        raise ConfigError("CFG014", "this is a folder", where=str(path))
     if not path.parent.is_dir():
         raise ConfigError("CFG014", f"there is no folder {path.parent}", where=str(path))
 
@@ -122,7 +120,7 @@ def _ros(found: Found) -> Iterator[str]:
     rows = [(f"  {key}: {_value(value)}", found.why.get(key, "")) for key, value in found.ros.items()]
     yield from _with_reasons(rows)
     if "domain" not in found.ros and found.ros.get("distro") != "noetic":
-        yield "  # domain: without this key ROS_DOMAIN_ID decides, else it is 0"
+        yield "  # domain: without this key, ROS_DOMAIN_ID applies, or else 0"
 
 
 def _value(value: object) -> str:

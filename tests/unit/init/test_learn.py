@@ -176,7 +176,7 @@ def test_a_bridge_learns_and_keeps(
             load_project(path)
         stack.enter_context(Robot(backend, domain, describes=True, **options))
         assert load(path).topic("/parts").type_name == PART
-    assert f"learnt {PART} from node /robot; kept in {here}/learned_types" in caplog.text
+    assert f"learned {PART} from node /robot; saved in {here}/learned_types" in caplog.text
     assert (here / "learned_types/cell_msgs/msg/Side.msg").read_text() == SIDE_TEXT
     store = load_project(path).topic("/parts").layout.store
     assert store.type_hash(PART) == HASH
@@ -186,7 +186,7 @@ def test_a_bridge_learns_and_keeps(
     ("distro", "describes", "words"),
     [
         ("jazzy", False, "node /robot cannot describe it: no node serves"),
-        ("humble", True, "humble has no service"),
+        ("humble", True, "humble (ros.distro) has no service"),
     ],
 )
 def test_a_bridge_that_cannot_learn(

@@ -57,7 +57,7 @@ def test_what_was_always_empty_keeps_the_default_and_is_named() -> None:
     """Nothing was learnt of an empty sequence, and the file says so."""
     made = entry(JOINTS, name=(6, 6), effort=(0, 0))
     assert list(made.limits) == ["name"]
-    assert any("Empty in all of them" in text and "effort" in text for text in made.about)
+    assert any("Always empty" in text and "effort" in text for text in made.about)
 
 
 def test_without_a_message_the_defaults_hold_and_it_says_so() -> None:

@@ -61,8 +61,8 @@ def test_a_later_wish_refines_an_earlier_one() -> None:
     ("wish", "words"),
     [
         ("/cmd_vell", "did you mean /cmd_vel"),
-        ("/zzz", "/zzz=PACKAGE/TYPE carries it nevertheless"),
-        ("/nothing/*", "no topic that was found matches"),
+        ("/zzz", "give /zzz=PACKAGE/TYPE to carry it"),
+        ("/nothing/*", "no topic found matches"),
         ("/odd", "several types"),
         ("/bad-name", "may have only letters"),
     ],
@@ -82,5 +82,5 @@ def test_a_wish_that_is_none_is_an_error(text: str) -> None:
 
 def test_direction_comes_from_who_is_there() -> None:
     """Published goes to the PLC, also if somebody subscribes; what is only subscribed to comes from it."""
-    assert direction(TOPICS["/cmd_vel"]) == ("ros", "/base subscribes to it, and nobody publishes it")
-    assert direction(TOPICS["/mode"]) == ("plc", "/base publishes it for /panel; the PLC listens in")
+    assert direction(TOPICS["/cmd_vel"]) == ("ros", "/base subscribes to it; it has no publisher")
+    assert direction(TOPICS["/mode"]) == ("plc", "/base publishes it for /panel; the PLC subscribes, too")
