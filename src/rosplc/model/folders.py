@@ -62,9 +62,9 @@ def _files(path: Path) -> list[Path]:
         what = getattr(error, "strerror", None) or str(error)
         raise MessageTypeError("TYP008", f"cannot be read: {what}", where=str(path)) from None
     if not exists:
-        raise MessageTypeError("TYP008", "does not exist", where=str(path))
+        raise MessageTypeError("TYP008", "this path does not exist", where=str(path))
     if not files or files[0].suffix not in _SUFFIXES:
-        raise MessageTypeError("TYP008", "holds no .msg, .srv or .action file", where=str(path))
+        raise MessageTypeError("TYP008", "there is no .msg, .srv or .action file here", where=str(path))
     return files
 
 
@@ -80,13 +80,13 @@ def _below(path: Path) -> list[Path]:
         for entry in folder.iterdir():
             number += 1
             if number > MAX_ENTRIES:
-                raise ValueError(f"there are more than {MAX_ENTRIES} files below it")
+                raise ValueError(f"there are more than {MAX_ENTRIES} files below")
             if entry.suffix in _SUFFIXES and entry.is_file():
                 files.append(entry)
             elif entry.is_dir() and not entry.is_symlink() and not _ignored(entry):
                 folders.append(entry)
         if len(files) > MAX_FILES:
-            raise ValueError(f"there are more than {MAX_FILES} definitions below it")
+            raise ValueError(f"there are more than {MAX_FILES} definitions below")
     return sorted(files)
 
 
@@ -101,18 +101,18 @@ def read(file: Path) -> str:
         with file.open("rb") as stream:
             data = stream.read(MAX_TEXT + 1)
         if len(data) > MAX_TEXT:
-            raise MessageTypeError("TYP007", f"has more than {MAX_TEXT} bytes", where=str(file))
+            raise MessageTypeError("TYP007", f"the file has more than {MAX_TEXT} bytes", where=str(file))
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        raise MessageTypeError("TYP002", "is not UTF-8 text", where=f"{file}:{line}") from None
+        raise MessageTypeError("TYP002", "this is not UTF-8 text", where=f"{file}:{line}") from None
     except OSError as error:
         raise MessageTypeError("TYP008", f"cannot be read: {error.strerror}", where=str(file)) from None
 
 
 def _name_of(file: Path) -> str:
     if not _PACKAGE.match(file.stem):
-        what = f"{file.stem!r} is no {_SUFFIXES[file.suffix]} name"
+        what = f"{file.stem!r} is not a valid {_SUFFIXES[file.suffix]} name"
         raise MessageTypeError("TYP002", what, where=str(file))
     return f"{_package_of(file)}/{file.suffix[1:]}/{file.stem}"
 
@@ -123,7 +123,7 @@ def _package_of(file: Path) -> str:
         folder = folder.parent
     name = _name_in(folder / "package.xml") or folder.name
     if not _PACKAGE.match(name):
-        raise MessageTypeError("TYP002", f"{name!r} is not a package name", where=str(file))
+        raise MessageTypeError("TYP002", f"{name!r} is not a valid package name", where=str(file))
     return name
 
 
@@ -135,7 +135,7 @@ def _name_in(manifest: Path) -> str:
             text = file.read(MAX_TEXT)  # what is longer is cut off, and so no XML
         return (ElementTree.fromstring(text).findtext("name") or "").strip()
     except (ElementTree.ParseError, OSError, ValueError):
-        raise MessageTypeError("TYP002", "is not a readable package manifest", where=str(manifest)) from None
+        raise MessageTypeError("TYP002", "this manifest is not readable", where=str(manifest)) from None
 
 
 # -- writing
@@ -175,7 +175,7 @@ def save_definitions(texts: Mapping[str, str], folder: Path) -> tuple[Path, ...]
 def _check(file: Path, text: str) -> None:
     try:
         if file.read_text(encoding="utf-8") != text:
-            raise MessageTypeError("TYP009", "holds another definition", where=str(file))
+            raise MessageTypeError("TYP009", "the file contains another definition", where=str(file))
     except FileNotFoundError:
         pass
     except (OSError, UnicodeDecodeError) as error:

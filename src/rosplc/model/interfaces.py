@@ -69,7 +69,7 @@ def parse_interface(
         cuts = [len(lines)]
     if len(cuts) != len(parts) - 1:
         line = cuts[len(parts) - 1] if len(cuts) >= len(parts) else len(lines) - 1
-        what = f"{' and '.join(parts).lower()} are separated by {len(parts) - 1} × `---`, not {len(cuts)}"
+        what = f"{' and '.join(parts).lower()} need {len(parts) - 1} × `---`, not {len(cuts)}"
         raise MessageTypeError("TYP002", what, where=f"{where}:{line + 1}")
     found: list[ParsedType] = []
     for part, start, end in zip(parts, [-1, *cuts], [*cuts, len(lines)], strict=True):
@@ -78,7 +78,7 @@ def parse_interface(
             f"{name}_{part}", own, where=where, ros_version=ros_version, siblings=siblings
         )
         if others:
-            raise MessageTypeError("TYP002", "it cannot define other types", where=others[0].where)
+            raise MessageTypeError("TYP002", "this file cannot define other types", where=others[0].where)
         found.append(parsed)
     return found
 

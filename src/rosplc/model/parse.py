@@ -198,7 +198,7 @@ def check_names(message: types.MessageType) -> None:
     items: list[types.Field | types.Constant] = [*message.fields, *message.constants]
     for item in items:
         if not _NAME.match(item.name) or len(item.name) > MAX_NAME or item.name in seen:
-            what = "is defined twice" if item.name in seen else "is not the name of a field or constant"
+            what = "is defined twice" if item.name in seen else "is not a valid name of a field or constant"
             raise MessageTypeError("TYP002", f"{item.name[:80]!r} {what}", where=message.name)
         seen.add(item.name)
 
@@ -234,7 +234,7 @@ def parse_definition(
         budget -= len(parsed.message.fields) + len(parsed.message.constants)
         known = found.setdefault(name, parsed)
         if known.message != parsed.message:
-            raise MessageTypeError("TYP005", f"{name} is defined twice, differently", where=place)
+            raise MessageTypeError("TYP005", f"{name} has two different definitions", where=place)
     return list(found.values())
 
 

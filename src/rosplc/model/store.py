@@ -283,7 +283,7 @@ class TypeStore:
         old = self._types.get(new.name)
         if old is not None and not _same_shape(old, new):
             known = self._parsed.get(new.name)
-            other = known.where if known else f"{self.distro}'s own" if self.distro else "the one known"
+            other = known.where if known else f"that of {self.distro}" if self.distro else "the known one"
             raise MessageTypeError(
                 "TYP005", f"this definition of {new.name} differs from {other}", where=parsed.where
             )
@@ -324,7 +324,7 @@ class TypeStore:
             if not all(_same_shape(a.message, b.message) for a, b in zip(before, parsed, strict=False)):
                 what = f"this definition of {name} differs from {other}"
                 raise MessageTypeError("TYP005", what, where=where)
-            other = where if isinstance(source, Path) else f"{self.distro}'s own"
+            other = where if isinstance(source, Path) else f"that of {self.distro}"
         messages = derive(name, [each.message for each in parsed], self.ros_version)
         parsed += (ParsedType(each, where, (where,) * len(each.fields)) for each in messages)
         self._parts.update({each.message.name: each for each in parsed})
@@ -353,14 +353,12 @@ class TypeStore:
             if near:
                 hint = f"; did you mean {near[0]}?"
             elif self._nameless:
-                hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"
+                hint = f"; {self._nameless[0].where} was skipped: {self._nameless[0].what}"
             what = f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
         learnt = ""
         if kind == "msg" and self.ros_version == 2 and self.distro != "humble":
             learnt = " `rosplc run` and `rosplc init` learn it from a running node that uses it."
-        remedy = (
-            f"`rosplc types {package}` lists the package's types; add others' folder to types.paths.{learnt}"
-        )
+        remedy = f"`rosplc types {package}` lists its types; add the folder of others to types.paths.{learnt}"
         if not any(other.startswith(f"{package}/") for other in every):
             remedy = (
                 f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder "

@@ -87,7 +87,7 @@ def test_comments_and_dependencies_are_saved(ros1: Graph, tmp_path: Path) -> Non
     assert {str(file.relative_to(tmp_path / "here")) for file in saved} == set(tree)
     assert STORE.with_paths([tmp_path / "here"]).md5(PART) == theirs.md5(PART)
     (tmp_path / "here/cell_msgs/msg/Side.msg").write_text("uint8 other\n")
-    with pytest.raises(RosplcError, match=r"Side\.msg: .*holds another definition.*TYP009"):
+    with pytest.raises(RosplcError, match=r"Side\.msg: .*contains another definition.*TYP009"):
         wire().save_definition(found, tmp_path / "here")
 
 

@@ -224,7 +224,7 @@ def test_folders_of_both_kinds(tmp_path: Path) -> None:
     assert store.with_paths([tmp_path / "flat_msgs/Go.action"]).action("flat_msgs/Go")
     again = store.with_paths([tmp_path])
     assert {"flat_msgs/action/Go", "own_msgs/action/Go"} < set(again.actions())
-    assert [error.what for error in again.problems()] == ["'no-name' is no service name"]
+    assert [error.what for error in again.problems()] == ["'no-name' is not a valid service name"]
 
 
 def test_two_definitions(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_two_definitions(tmp_path: Path) -> None:
     assert store.service("std_srvs/Trigger") == TypeStore.bundled("jazzy").service("std_srvs/Trigger")
     error = error_of(store, "std_srvs/SetBool")
     assert (error.code, error.where) == ("TYP005", str(tmp_path / "two/std_srvs/srv/SetBool.srv"))
-    assert error.what == "this definition of std_srvs/srv/SetBool differs from jazzy's own"
+    assert error.what == "this definition of std_srvs/srv/SetBool differs from that of jazzy"
 
 
 def test_what_a_wrong_name_is_told() -> None:

@@ -264,7 +264,7 @@ def test_types_that_contain_themselves_are_refused(text: str) -> None:
     ("name", "remedy"),
     [
         ("my_msgs/msg/Part", "ROS installs it as /opt/ros/DISTRO/share/my_msgs."),
-        ("sensor_msgs/msg/Imagery", "`rosplc types sensor_msgs` lists the package's types"),
+        ("sensor_msgs/msg/Imagery", "`rosplc types sensor_msgs` lists its types"),
     ],
 )
 def test_an_unknown_type_comes_with_what_to_do(name: str, remedy: str) -> None:
@@ -331,7 +331,7 @@ class TestFolders:
             ("one_msgs/msg/Bad.msg", b"int32 a\n# \xff\n", "TYP002", "Bad.msg:2", "UTF-8"),
             ("one_msgs/msg/Bad.msg", b"#" * (1 << 20) + b"#", "TYP007", "Bad.msg", "bytes"),
             ("z/one_msgs/First.msg", b"int8 x", "TYP005", "z/one_msgs/First.msg", "differs from"),
-            ("std_msgs/msg/String.msg", b"string text", "TYP005", "String.msg", "jazzy's own"),
+            ("std_msgs/msg/String.msg", b"string text", "TYP005", "String.msg", "that of jazzy"),
             ("9msgs/msg/Bad.msg", b"int8 x", "TYP002", "Bad.msg", "package name"),
             ("one_msgs/msg/No-Name.msg", b"int8 x", "TYP002", "No-Name.msg", "message name"),
             ("one_msgs/package.xml", b"<package>", "TYP002", "package.xml", "manifest"),
