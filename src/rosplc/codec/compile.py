@@ -366,8 +366,8 @@ class Codec:
         what = _WHAT[number].format(size=size, limit=limit)
         remedy = ""
         if number == 4 and bound:
-            what = f"string has {size} bytes, and the type itself allows at most {limit}"
-            remedy = "The sender's definition of the type differs; this bound cannot be raised."
+            what = f"string has {size} bytes, but the type itself allows at most {limit}"
+            remedy = "The sender has another definition of the type; this bound cannot be raised."
         if number == 7 and limit == size - 1 and self.wire is Wire.CDR:
             what = f"string of {size} bytes does not end with a NUL"
         where = f"{self.layout.type_name}: {path}" if path else self.layout.type_name
@@ -375,13 +375,13 @@ class Codec:
 
 
 _WHAT = {
-    1: "message ends too early: it has {limit} bytes and needs at least {size}",
-    2: "message has {size} bytes, but its content ends so that at most {limit} are possible",
+    1: "message ends too early: it has {limit} bytes, but needs at least {size}",
+    2: "message has {size} bytes, but its content fills at most {limit}",
     3: "encapsulation 0x{size:04x} is neither 0x0000 nor 0x0001",
     4: "string has {size} bytes, the limit is {limit}",
     5: "sequence has {size} elements, the limit is {limit}",
-    6: "bool has the value {size}",
+    6: "bool has the value {size} instead of 0 or 1",
     7: "string of {size} bytes holds a NUL at byte {limit}",
-    8: "sequence has {size} elements, and the type itself allows at most {limit}",
+    8: "sequence has {size} elements, but the type itself allows at most {limit}",
     9: "buffer has {size} bytes instead of {limit}",
 }

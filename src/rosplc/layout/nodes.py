@@ -156,9 +156,9 @@ def layout_difference(one: str, other: str, limit: int = 5) -> str:
     found: list[str] = []
     for path in dict.fromkeys((*mine, *theirs)):
         if path not in theirs:
-            found.append(f"{path} is here only")
+            found.append(f"{path} exists only here")
         elif path not in mine:
-            found.append(f"{path} is there only")
+            found.append(f"{path} exists only there")
         elif mine[path] != theirs[path]:
             found.append(f"{path} is {mine[path]} here and {theirs[path]} there")
     if not found:
@@ -251,7 +251,7 @@ class Limits:
         fields = data.get("fields", {})
         unknown = set(data) - {"string", "sequence", "fields"}
         if unknown or not isinstance(fields, dict) or not all(isinstance(path, str) for path in fields):
-            raise LayoutError("LAY001", "limits are not of the form {string, sequence, fields}")
+            raise LayoutError("LAY001", "limits do not have the form {string, sequence, fields}")
         return cls(data.get("string", 80), data.get("sequence", 16), fields)
 
 
@@ -315,7 +315,7 @@ class _Builder:
             if offset > MAX_RECORD or items > MAX_ITEMS:
                 what = f"{offset} bytes" if offset > MAX_RECORD else f"more than {MAX_ITEMS} fields"
                 raise LayoutError(
-                    "LAY003", f"{what} so far, more than a record can have", where=path + field.name
+                    "LAY003", f"{what} up to here, more than a record can have", where=path + field.name
                 )
         self._none_left(limits, path)
         if not members:
@@ -419,7 +419,7 @@ def _default_fits(size: int, capacity: int, path: str) -> None:
     if size > capacity:
         raise LayoutError(
             "LAY006",
-            f"the definition's default value needs a capacity of {size}, the limit is {capacity}",
+            f"the definition's default value needs a capacity of {size}, but the limit is {capacity}",
             where=path,
             remedy="Raise the limit of this field.",
         )

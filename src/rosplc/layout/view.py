@@ -41,7 +41,7 @@ class RecordView(View):
     _names: ClassVar[tuple[str, ...]]
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
-        raise AttributeError("records are read through views and written by packing a new one")
+        raise AttributeError("views of records are read-only; pack a new record to write one")
 
     def __dir__(self) -> list[str]:
         return [name for name in vars(type(self)) if not name.startswith("_")]

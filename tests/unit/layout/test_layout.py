@@ -69,7 +69,7 @@ def test_a_difference_of_definitions() -> None:
     """Fields that one side lacks are named as such, and so is another type."""
     stores = [TypeStore.from_definition("a/B", text) for text in ("int8 x\nint8 y\n", "int8 x\nint16 z\n")]
     one, other = (compute_layout(store, "a/B") for store in stores)
-    assert one.difference(other) == "y is here only; z is there only"
+    assert one.difference(other) == "y exists only here; z exists only there"
     swapped = compute_layout(TypeStore.from_definition("a/B", "int8 y\nint8 x\n"), "a/B")
     assert one.difference(swapped) == "the fields are in another order"
     twist, accel = (compute_layout(JAZZY, f"geometry_msgs/{name}") for name in ("Twist", "Accel"))

@@ -74,7 +74,7 @@ def test_a_deep_copy_stays() -> None:
 def test_a_view_is_read_only() -> None:
     """Assigning to a field says how records are written instead."""
     view = STATE.view(STATE.pack(VALUE))
-    with pytest.raises(AttributeError, match="packing"):
+    with pytest.raises(AttributeError, match="pack a new"):
         view.name = ["x"]
 
 
