@@ -326,7 +326,7 @@ def _check_tasks(tasks: Sequence[PlcTask]) -> None:
         _check_name(_TASK, task.name, "tasks")
         other = seen.setdefault(task.name.upper(), task.name)
         if other != task.name:
-            raise GenerationError("PLC005", f"{other} and {task.name}", where="tasks")
+            raise GenerationError("PLC005", f"{other} and {task.name} differ only in case", where="tasks")
 
 
 def _check_topics(topics: Sequence[PlcTopic]) -> None:
@@ -348,7 +348,7 @@ def _check_ros_name(name: str, where: str) -> None:
 def _check_name(pattern: re.Pattern[str], name: str, where: str) -> None:
     """Refuse what is no name before it gets into comments and literals."""
     if not pattern.match(name):
-        raise GenerationError("PLC008", f"{name[:80]!r} is none", where=where)
+        raise GenerationError("PLC008", f"{name[:80]!r} is not a valid name", where=where)
 
 
 def _settings(options: ProjectOptions, tasks: Sequence[PlcTask]) -> Gvl:
@@ -418,8 +418,8 @@ def _notes(
             wait, half = -(-topic.classic.wait_ns // 1_000_000), classic_wait(topic.classic, cycle)
             if half < wait:
                 notes.append(
-                    f"{topic.topic}: waits {half} ms for its lock instead of {wait} ms, "
-                    f"half of the cycle of {topic.task} at most"
+                    f"{topic.topic}: the wait for its lock is reduced from {wait} ms to {half} ms, "
+                    f"half of the cycle of {topic.task}"
                 )
         if topic.layout.size > _LARGE_DUT:
             copies = (4 if topic.classic else 3) if topic.direction == "read" else 1
@@ -429,8 +429,8 @@ def _notes(
             )
         if topic.in_order and topic.direction == "read" and not options.fenced:
             notes.append(
-                f"{topic.topic}: without a memory fence the PLC takes one message in two scans at most; "
-                "if more come for longer, messages are lost, and counted"
+                f"{topic.topic}: without a memory fence, the PLC takes at most one message in two scans; "
+                "at a higher sustained rate, messages are lost and counted"
             )
     return notes
 

@@ -217,7 +217,7 @@ def _manifest(folder: Path, *, force: bool) -> dict[str, str]:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         if force:
             return {}
-        what = f"{MANIFEST} cannot be read, so edited files cannot be told from generated ones"
+        what = f"{MANIFEST} is not readable, so edited files cannot be told from generated ones"
         raise GenerationError("PLC001", what, where=str(folder)) from None
     return {path: str(digest) for path, digest in entries if _is_below(folder, path)}
 

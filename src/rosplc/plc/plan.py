@@ -20,7 +20,7 @@ def check_classic(topic: str, classic: ClassicPlan) -> None:
     for name in (classic.name, classic.semaphore):
         plain = all("!" <= char <= "~" and char != "/" for char in name)
         if len(name) > LONGEST_NAME or not plain or not classic.name:
-            raise GenerationError("PLC007", f"{name!r} is none", where=topic)
+            raise GenerationError("PLC007", f"{name!r} is not a valid name", where=topic)
 
 
 def classic_wait(classic: ClassicPlan, cycle_ns: int) -> int:

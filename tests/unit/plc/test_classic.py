@@ -115,7 +115,7 @@ def test_a_wait_takes_half_a_cycle_at_most(wait_ms, cycle_ms, expected):
         tasks = (PlcTask("Ros", cycle_ms * MS),)
         made = project(read("/cmd_vel", TWIST, classic=classic(wait_ms=wait_ms)), tasks=tasks)
         assert f"tWait := T#{expected}ms" in named(made.pous, "SharedMemory_Read").implementation
-        assert any("waits" in note for note in made.notes) == (expected < wait_ms)
+        assert any("the wait for" in note for note in made.notes) == (expected < wait_ms)
 
 
 def test_the_library_is_asked_for_where_it_is_needed(made):
