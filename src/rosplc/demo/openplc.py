@@ -44,7 +44,7 @@ def find_openplc() -> tuple[Path, Path]:
             raise SetupError("SYS001", f"{program} is missing", remedy=f"sudo apt-get install {package}")
     if Runtime.ask("STATUS"):
         what = "another OpenPLC runtime is running"
-        raise SetupError("SYS002", what, where=str(RUN), remedy="End it: only one can run on a machine.")
+        raise SetupError("SYS002", what, where=str(RUN), remedy="Stop it: only one can run on a machine.")
     openplc, strucpp = (Path(os.environ[variable]).resolve() for variable in _BUILT)
     return openplc, strucpp
 
@@ -87,7 +87,7 @@ class Runtime:
         try:
             RUN.mkdir(exist_ok=True)
         except OSError as error:
-            what, remedy = f"it cannot be made: {error.strerror}", f"sudo install -d -o $USER {RUN}"
+            what, remedy = f"cannot create this folder: {error.strerror}", f"sudo install -d -o $USER {RUN}"
             raise SetupError("SYS001", what, where=str(RUN), remedy=remedy) from error
         main = Path(os.environ["ROSPLC_OPENPLC"]).resolve() / _BUILT["ROSPLC_OPENPLC"]
         command = ["setpriv", "--pdeathsig", "KILL", str(main), "--print-logs"]
@@ -99,7 +99,7 @@ class Runtime:
     def check(self) -> None:
         """Raise SetupError SYS002 if it has ended."""
         if self._process.poll() is not None:
-            raise SetupError("SYS002", "OpenPLC's runtime has ended")
+            raise SetupError("SYS002", "the OpenPLC runtime has ended")
 
     @staticmethod
     def ask(command: str) -> str:

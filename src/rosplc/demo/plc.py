@@ -111,7 +111,7 @@ class PythonProgram:
         self._steer()
         blocks = {**self.reads, COMMAND[0]: self.write}
         waiting = {
-            topic: block.reason or "the bridge does not beat"
+            topic: block.reason or "the bridge sends no heartbeat"
             for topic, block in blocks.items()
             if block.udiError or not block.xPeerAlive
         }

@@ -103,12 +103,12 @@ class Child:
         if self._error is not None:
             reason = f"{self._error['what']} [{self._error['code']}] {self._error['remedy']}"
         elif status < 0:
-            reason = f"it was ended by signal {signal.Signals(-status).name}"
+            reason = f"it was killed by signal {signal.Signals(-status).name}"
         else:
-            reason = f"it ended with status {status}"
+            reason = f"it exited with status {status}"
         self._log.seek(0)
         output = "".join(f"\n  {self.role}: {line}" for line in self._log.read().splitlines()[-_LAST_LINES:])
-        again = "Run the demo again; if it persists, the message above says which part fails."
+        again = "Run the demo again; if it persists, the message above shows which part fails."
         what = f"the {self.role} process failed: {reason}{output}"
         raise SetupError("SYS002", what, remedy="" if output else again)
 

@@ -62,7 +62,7 @@ class Robot:
     def unmatched(self) -> dict[str, str]:
         """Return the topics without a peer, each with the reason that the backend gives."""
         return {
-            status.topic: status.reason or "nobody there yet"
+            status.topic: status.reason or "no peer yet"
             for status in self._backend.status()
             if status.matched == 0
         }

@@ -273,7 +273,7 @@ class Demo:
         self._before = (_total(self.plc), _total(self.robot))
         self.outage = Outage(killed_at, time.monotonic() - began)
         self.children[1] = self._start_bridge()
-        self.phase = "the bridge starts again"
+        self.phase = "the bridge is restarting"
 
     def _note_recovery(self, began: float) -> None:
         outage, now = self.outage, time.monotonic() - began
@@ -292,7 +292,7 @@ class Demo:
         while not (self.plc.get("ready") and self.robot and not self.robot["unmatched"]):
             self._tick()
             if time.monotonic() > deadline:
-                raise SetupError("SYS004", f"within {_STARTUP:g} s: {self._who_waits()}")
+                raise SetupError("SYS004", f"not ready after {_STARTUP:g} s: {self._who_waits()}")
 
     def _who_waits(self) -> str:
         reasons = [f"robot {topic}: {why}" for topic, why in self.robot.get("unmatched", {}).items()]

@@ -45,7 +45,7 @@ class LiveView:
 
     def _picture(self, demo: Demo) -> Group:
         if demo.phase == "starting":
-            text = "Starting robot, bridge and virtual PLC: three processes that find each other …"
+            text = "Starting robot, bridge and virtual PLC; the three processes discover each other …"
             return Group(Text(text))
         robot, plc = demo.robot, demo.plc
         wide = self._live.console.width >= _WIDE
@@ -73,7 +73,7 @@ class LiveView:
             f"{cycle.get('missed', 0)} missed; a scan takes {cycle.get('cycle_mean_us', 0) / 1000:.2f} ms, "
             f"at most {cycle.get('cycle_max_us', 0) / 1000:.2f} ms"
         )
-        drive = f"The robot went {robot.get('metres', 0.0):.2f} m on the PLC's commands."
+        drive = f"The robot has moved {robot.get('metres', 0.0):.2f} m on the PLC's commands."
         path = Text("robot (DDS) ⇄ bridge ⇄ shared memory ⇄ virtual PLC", style="bold")
-        end = Text(f"{demo.phase}; Ctrl-C ends it and sums up", style="dim")
+        end = Text(f"{demo.phase}; press Ctrl-C to stop and print a summary", style="dim")
         return Group(path, Text(), table, Text(), Text(task), Text(drive), end)

@@ -252,7 +252,7 @@ def test_a_childs_own_error_is_what_is_shown(child):
 def test_a_childs_last_words_are_shown(child):
     """A process that dies without a report is shown with the end of its stderr."""
     one = wait_for_end(child("raise ZeroDivisionError('speed')"))
-    with pytest.raises(SetupError, match="ended with status 1") as caught:
+    with pytest.raises(SetupError, match="exited with status 1") as caught:
         one.check()
     assert "ZeroDivisionError: speed" in caught.value.what
 

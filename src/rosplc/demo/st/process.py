@@ -80,9 +80,9 @@ def find_translator() -> Translator:
     if not (root / "tests" / "st" / "pyproject.toml").is_file():
         raise SetupError(
             "SYS001",
-            "the translator for Structured Text is missing; it is not part of the installed package",
+            "the Structured Text translator is missing; it is not part of the installed package",
             where=str(root),
-            remedy="Take a checkout of rosplc's sources, `make setup` there, and run "
+            remedy="Check out the rosplc sources, run `make setup` there, and then "
             "`.venv/bin/rosplc demo --plc st`.",
         )
     if shutil.which("gcc") is None:
@@ -90,7 +90,7 @@ def find_translator() -> Translator:
     if importlib.util.find_spec("rosplc_st") is None or importlib.util.find_spec("blark") is None:
         raise SetupError(
             "SYS001",
-            "the Python package rosplc-st is missing, which translates Structured Text",
+            "the Python package rosplc-st, which translates Structured Text, is missing",
             remedy=f"pip install -e {shlex.quote(str(root / 'tests' / 'st'))}",
         )
     return Translator(root)
@@ -179,7 +179,7 @@ class StructuredText:
         try:
             self._machine.scan(program)
         except AssertionError as error:
-            raise SetupError("SYS002", f"the Structured Text failed: {error}") from error
+            raise SetupError("SYS002", f"executing the Structured Text failed: {error}") from error
 
     def stop(self) -> None:
         """End the program as a PLC's stop does; its claims are given back."""
