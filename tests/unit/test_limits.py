@@ -314,7 +314,7 @@ def over_ros1(patch: pytest.MonkeyPatch, folder: Path) -> None:
         theirs, ends = server.accept()[0], queue.SimpleQueue[str]()
         received.loop.receive(ours.fileno(), SimpleNamespace(end=ends.put), None)
         theirs.sendall((topics.LARGEST_MESSAGE + 1).to_bytes(4, "little"))
-        assert ends.get(timeout=60.0) == f"a message of {topics.LARGEST_MESSAGE + 1} bytes is announced"
+        assert ends.get(timeout=60.0) == f"a message of {topics.LARGEST_MESSAGE + 1} bytes was announced"
         received.let_go(ours)
         theirs.close()
     received.close()

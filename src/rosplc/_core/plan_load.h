@@ -106,7 +106,7 @@ static inline const char *rp_plan_load(rp_plan *plan, rp_op *ops, const uint8_t 
     if (head.record_size < 1 || head.record_size > RP_MAX_RECORD)
         return "record size is out of range";
     if (((uint64_t)head.native_count + head.swapped_count) * sizeof(rp_op) != size - sizeof head)
-        return "number of ops does not agree with the size";
+        return "number of ops does not match the size";
     if (size > sizeof head)
         memcpy(ops, blob + sizeof head, size - sizeof head);
     reason = rp_check_ops(ops, head.native_count, head.record_size, 0, &least, &most);

@@ -98,7 +98,7 @@ int ch_arguments(const char *method, const char *const *names, Py_ssize_t positi
     }
     for (Py_ssize_t i = 0; i < required; i++) {
         if (!out[i]) {
-            PyErr_Format(PyExc_TypeError, "%s() lacks its argument '%s'", method, names[i]);
+            PyErr_Format(PyExc_TypeError, "%s() is missing its argument '%s'", method, names[i]);
             return -1;
         }
     }

@@ -538,7 +538,7 @@ static int beat_one(PyObject *user)
             failed = beat_one(PyTuple_GetItem(user, i));
         Py_LeaveRecursiveCall();
     } else if (user != Py_None) {
-        PyErr_SetString(PyExc_TypeError, "readers and writers beat");
+        PyErr_SetString(PyExc_TypeError, "beat() takes readers and writers");
         return -1;
     }
     return failed;

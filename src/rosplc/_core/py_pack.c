@@ -179,7 +179,7 @@ static int put_string(const FieldObject *field, uint8_t *to, PyObject *value, mi
     else if (memchr(text, 0, (size_t)size))
         result = refuse(m, PyUnicode_FromString("a string cannot hold a NUL"));
     else if (size > capacity)
-        result = refuse(m, PyUnicode_FromFormat("the string has %zd bytes, its limit is %zd", size, capacity));
+        result = refuse(m, PyUnicode_FromFormat("the string has %zd bytes, but its limit is %zd", size, capacity));
     else {
         memcpy(to, text, (size_t)size);
         memset(to + size, 0, (size_t)(capacity + 1 - size));
@@ -276,7 +276,7 @@ static int put_many(const FieldObject *field, uint8_t *base, PyObject *value, mi
     } else if (field->many == ARRAY && count != (Py_ssize_t)field->n) {
         failed = refuse(m, PyUnicode_FromFormat("%zd elements for an array of %u", count, field->n));
     } else if (count > (Py_ssize_t)field->n) {
-        failed = refuse(m, PyUnicode_FromFormat("%zd elements, the limit is %u", count, field->n));
+        failed = refuse(m, PyUnicode_FromFormat("%zd elements, but the limit is %u", count, field->n));
     } else if (field->many == SEQUENCE) {
         size_t before = rp_load32(base + field->count_at), size = (size_t)count;
         before = before < field->n ? before : field->n;
@@ -294,7 +294,7 @@ static int put_many(const FieldObject *field, uint8_t *base, PyObject *value, mi
         /* Converting an element may have shortened the list. */
         PyObject *item = Py_XNewRef(listed ? PyList_GetItem(items, i) : PyTuple_GetItem(items, i));
         failed = item ? put_one(field, to + (size_t)i * field->stride, item, m)
-                      : refuse(m, PyUnicode_FromString("the elements change meanwhile"));
+                      : refuse(m, PyUnicode_FromString("the elements changed meanwhile"));
         Py_XDECREF(item);
         if (failed)
             below(m, m->what ? PyUnicode_FromFormat("[%zd]", i) : NULL);

@@ -17,7 +17,7 @@ static PyObject *fault_type;
 const rp_plan *rp_plan_from_object(PyObject *object)
 {
     if (!PyObject_TypeCheck(object, plan_type)) {
-        PyErr_SetString(PyExc_TypeError, "a rosplc Plan is needed here");
+        PyErr_SetString(PyExc_TypeError, "a rosplc Plan is required");
         return NULL;
     }
     return &((PlanObject *)object)->plan;

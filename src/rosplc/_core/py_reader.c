@@ -106,7 +106,7 @@ static int reader_fill(ReaderObject *self, PyObject *out, rosplc_take *take)
         return -1;
     }
     if (view.len < (Py_ssize_t)size) {
-        PyErr_Format(PyExc_ValueError, "a record of %U has %zu bytes; the buffer has %zd", self->owner->path, size,
+        PyErr_Format(PyExc_ValueError, "a record of %U has %zu bytes, but the buffer has %zd", self->owner->path, size,
                      view.len);
         PyBuffer_Release(&view);
         return -1;

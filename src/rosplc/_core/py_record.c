@@ -339,7 +339,7 @@ Py_ssize_t rp_shape_size(PyObject *shape)
 {
     if (PyObject_TypeCheck(shape, shape_type))
         return (Py_ssize_t)((ShapeObject *)shape)->size;
-    PyErr_SetString(PyExc_TypeError, "a rosplc Shape is needed here");
+    PyErr_SetString(PyExc_TypeError, "a rosplc Shape is required");
     return -1;
 }
 
@@ -357,7 +357,7 @@ static PyObject *shape_view(ShapeObject *self, PyObject *buffer)
     Py_buffer bytes;
     if (owner && !PyObject_GetBuffer(owner, &bytes, PyBUF_SIMPLE)) {
         if (bytes.len < (Py_ssize_t)self->size) {
-            PyObject *what = PyUnicode_FromFormat("the buffer has %zd bytes, a record %u", bytes.len, self->size);
+            PyObject *what = PyUnicode_FromFormat("the buffer has %zd bytes, but a record has %u", bytes.len, self->size);
             rp_raise_misfit(self, &(misfit){what, NULL});
         } else {
             view = view_new(self, bytes.buf, owner);

@@ -79,7 +79,7 @@ static int writer_meta(PyObject **values, rosplc_meta *meta)
         return -1;
     }
     if (client_size != 0 && client_size != sizeof meta->client) {
-        PyErr_Format(PyExc_ValueError, "client has 16 bytes, or none, not %zd", client_size);
+        PyErr_Format(PyExc_ValueError, "client must have 16 bytes or none, not %zd", client_size);
         return -1;
     }
     *meta = (rosplc_meta){flags,

@@ -61,7 +61,7 @@ def test_what_an_inlet_cannot_have_is_refused() -> None:
         threads = [threading.Thread(target=wait, args=(waitset.ref,), daemon=True) for _ in range(2)]
         for thread in threads:
             thread.start()
-        assert results.get(timeout=10) == "another thread waits already"
+        assert results.get(timeout=10) == "another thread is already waiting"
         waitset.wake()
         assert results.get(timeout=10) == ([-1], [])
         waitset.close()

@@ -163,7 +163,7 @@ static PyObject *inlet_add(InletObject *self, PyObject *args)
         || !(sink = PyCapsule_GetPointer(capsule, ROSPLC_SINK)))
         return NULL;
     if (key < 0 || key >= MOST_KEYS || reader <= 0)
-        return PyErr_Format(PyExc_ValueError, "a key is between 0 and %d, and a reader greater than 0", MOST_KEYS - 1);
+        return PyErr_Format(PyExc_ValueError, "a key must be between 0 and %d, and a reader greater than 0", MOST_KEYS - 1);
     if ((size_t)key >= self->room) {
         size_t room = 2 * (size_t)key + 16;
         Entry *grown = PyMem_Calloc(room, sizeof *grown), *old;
@@ -263,9 +263,9 @@ static PyObject *inlet_wait(InletObject *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "inL:wait", &waitset, &room, &timeout_ns))
         return NULL;
     if (room < 1 || room > MOST_KEYS || timeout_ns < 0)
-        return PyErr_Format(PyExc_ValueError, "there is room for 1 to %d keys, and a timeout is not negative", MOST_KEYS);
+        return PyErr_Format(PyExc_ValueError, "room must be 1 to %d keys, and the timeout not negative", MOST_KEYS);
     if (self->waits)
-        return PyErr_Format(PyExc_RuntimeError, "another thread waits already");
+        return PyErr_Format(PyExc_RuntimeError, "another thread is already waiting");
     if ((size_t)room > self->keys_room) {
         intptr_t *grown = PyMem_Realloc(self->keys, 2 * (size_t)room * sizeof *grown);
         if (!grown)
@@ -381,7 +381,7 @@ static PyObject *outlet_write(OutletObject *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "y#L:write", &wire, &size, &stamp_ns))
         return NULL;
     if (size % 4)
-        return PyErr_Format(PyExc_ValueError, "a message has whole words");
+        return PyErr_Format(PyExc_ValueError, "a message must consist of whole words");
     return PyBool_FromLong(!rosplc_sink_put(&self->head.sink, (const uint8_t *)wire, (size_t)size, stamp_ns));
 }
 

@@ -529,7 +529,7 @@ static PyObject *news_of(LoopObject *self, int fd)
     }
     if (messages && announced)
         found = Py_BuildValue("(ONN)", owner, messages,
-                              PyUnicode_FromFormat("a message of %lu bytes is announced", (unsigned long)announced));
+                              PyUnicode_FromFormat("a message of %lu bytes was announced", (unsigned long)announced));
     else if (messages && ended)
         found = Py_BuildValue("(ONs)", owner, messages, error ? strerror(error) : "it was closed");
     else if (messages)
@@ -545,7 +545,7 @@ static PyObject *loop_wait(LoopObject *self, PyObject *unused)
     int woken = 0;
     (void)unused;
     if (self->waits)
-        return PyErr_Format(PyExc_RuntimeError, "another thread waits already");
+        return PyErr_Format(PyExc_RuntimeError, "another thread is already waiting");
     self->waits = 1;
     self->news_count = 0;
     Py_BEGIN_ALLOW_THREADS;
