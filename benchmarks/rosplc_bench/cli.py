@@ -28,15 +28,15 @@ SECTIONS = {
 """By name, in the order of the report."""
 
 EPILOG = """examples:
-  rosplc-bench                       about two minutes; the answer for this machine
+  rosplc-bench                       about two minutes; measures this machine
   rosplc-bench --quick               a first look in half a minute
   rosplc-bench --full --out results  about twelve minutes; report.md, report.json and figures in results/
   rosplc-bench --section experiment --only libmodbus --only rosplc-c
   rosplc-bench --from results/report.json --out pages
                                      write the pages again, without measuring
 
-Contenders in C need gcc; what is missing is skipped, with the reason. The exit status is 0 if every value
-came through whole; no time is ever too slow for it.
+Contenders in C need gcc. Whatever lacks a program or package is skipped, and the reason is printed. The
+exit status is 0 if every value arrived intact, however slowly.
 """
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 _SHOWN = 46  # characters beside the progress bar, on a terminal of 80
@@ -53,19 +53,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--quick", action="store_true", help="one round, for a first look")
     effort.add_argument(
-        "--full", action="store_true", help="more rounds and more of each; about twelve minutes"
+        "--full", action="store_true", help="more rounds, and longer ones; about twelve minutes"
     )
     parser.add_argument(
-        "--section", metavar="NAME", action="append", choices=SECTIONS, help="only this; may be given again"
+        "--section", metavar="NAME", action="append", choices=SECTIONS, help="run only this; may be repeated"
     )
     parser.add_argument(
-        "--only", metavar="CONTENDER", action="append", default=[], help="only this; may be given again"
+        "--only", metavar="CONTENDER", action="append", default=[], help="run only this; may be repeated"
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write report.md, report.json and figures (PNG, SVG) here"
     )
     parser.add_argument(
-        "--from", dest="earlier", type=Path, metavar="FILE", help="show this report.json; measure nothing"
+        "--from", dest="earlier", type=Path, metavar="FILE", help="show this report.json without measuring"
     )
     parser.add_argument("--json", action="store_true", help="print the whole report as JSON")
     given = parser.parse_args(arguments)

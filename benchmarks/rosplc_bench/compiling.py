@@ -53,7 +53,7 @@ def compile_program(
     try:
         done = subprocess.run([*command, "-o", made, *tail], capture_output=True, text=True, check=False)
         if done.returncode:
-            raise SetupError("SYS009", f"gcc does not compile {name}.c:\n{done.stderr.strip()}")
+            raise SetupError("SYS009", f"gcc cannot compile {name}.c:\n{done.stderr.strip()}")
         Path(made).rename(program)
     finally:
         Path(made).unlink(missing_ok=True)

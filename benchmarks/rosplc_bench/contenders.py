@@ -203,7 +203,7 @@ def _structured_text(place: Place) -> Pair:
     try:
         translator = find_translator()
     except SetupError as error:
-        remedy = "run rosplc-bench from a checkout of the sources, after `make setup` there"
+        remedy = "run `make setup` in a checkout of the sources, and rosplc-bench from there"
         raise Missing(error.what, remedy) from error
     plc = str(_compile(translator, place.cache))
     peer = str(compile_program("channel", place.cache))
@@ -217,7 +217,7 @@ _SPIN, _SOCKET, _CYCLES = (
     dict.fromkeys(CYCLIC, CYCLE),
 )
 _LOCKED = {TWO_CORES: Way("spin", "spins (lock, copy, compare)")}
-_YIELD = Way("yield", "polls when it gets the core back (sched_yield)")
+_YIELD = Way("yield", "yields the core between two polls (sched_yield)")
 _BUSY = {ONE_CORE_BUSY: SPINS, ONE_CORE_YIELD: _YIELD, ONE_CORE_CYCLE: CYCLE}
 _SIGNALS = dict.fromkeys((ONE_CORE, TWO_CORES_BLOCKING), Way("block", "sleeps on the semaphore"))
 _RINGS = dict.fromkeys((ONE_CORE, TWO_CORES_BLOCKING), RINGS)

@@ -96,7 +96,7 @@ def _check(context: Context, rounds: list[dict[str, Any]]) -> None:
             context.fail(what, f"none of {sum(part['sent'] for part in parts)} messages came back")
         for part in parts:
             if part["latencies_us"] and (part["error"] or part["strings"] < KINDS[one["kind"]].strings()):
-                context.fail(what, "what came back is not what was sent")
+                context.fail(what, "the messages that came back differ from those sent")
 
 
 def _methods(context: Context) -> list[str]:
@@ -169,7 +169,7 @@ class Comparison:
             line for line in self._ros.ask(do="ready")["missing"] if line.split()[0] in self.methods
         ]:
             if time.monotonic() > end:
-                raise SetupError("SYS004", f"the ROS process finds no bridge for {', '.join(missing)}")
+                raise SetupError("SYS004", f"the ROS process found no bridge for {', '.join(missing)}")
             time.sleep(0.05)
 
     def _begin(self, method: str, kind: str) -> None:
@@ -313,7 +313,7 @@ def _losses(rows: list[_Row], cycle: float) -> Table:
         lines.append((row.name, row.carried(), kept, error, row.sent, row.sent - row.back, *torn))
     header = (
         *("what is lost", "structure on the PLC's side", "strings kept", "64-bit numbers"),
-        *("sent", "not back whole", "torn at the PLC", "torn back in ROS"),
+        *("sent", "not returned intact", "torn at the PLC", "torn in ROS"),
     )
     title = f"What is lost on the way, with a PLC task of {cycle:g} ms"
     waiting = text("end-to-end waiting", cycle=cycle)

@@ -165,7 +165,7 @@ def _ratios(found: Found) -> Table:
         "Compared with rosplc's channel: time of one cycle, there and back",
         ("", "compared", "its median run, µs", "rosplc's, µs", "ratio", "ratio of the 99th percentiles"),
         tuple(rows),
-        "the first column names the arrangement, the second how the compared side waits",
+        "the first column shows the arrangement, the second how the compared side waits",
         text("experiment ratios"),
     )
 
@@ -275,8 +275,8 @@ def _summary(found: Found) -> Iterator[str]:
         yield f"{where}: rosplc takes {cell_text(middle)} µs there and back{against}."
     if cyclic := [part for each in CYCLIC if (part := _range(found, each))]:
         yield (
-            f"Polling, there and back takes {' and '.join(cyclic)}. The programs' period decides, not what "
-            "carries the data: one period, or more where an answer comes too late for it."
+            f"Polling, a round trip takes {' and '.join(cyclic)}. It depends on the period, not on what "
+            "carries the data: one period, or more if an answer arrives too late."
         )
     wrong, runs = _counts(found)
     if runs:
@@ -360,12 +360,12 @@ def render_waiting(data: Mapping[str, Any]) -> Page:
             bars.append(Series(label, (), (middle or 0.0,), group_of(label)))
     if not rows:
         return Page()
-    title = "One cycle, there and back, by the way to wait"
+    title = "One cycle, there and back, by method of waiting"
     table = Table(
         f"{title} (µs)",
         ("", "where", "waits", "median run", "p50", "p99", "CPU of both", "CPU, % of one core"),
         tuple(rows),
-        "the second and third column tell where and how",
+        "the second and third columns show where and how",
         f"A cycle in the thesis: {MODBUS_S[1000]:.3f} ms over Modbus TCP, {SHARED_MEMORY_S[1000]:.3f} ms "
         "over shared memory.",
     )

@@ -54,8 +54,8 @@ def busy(facts: Mapping[str, Any]) -> str:
     if load <= facts["cores"] / 2:
         return ""
     return (
-        f"Other programs were running (load average {load:.1f} before it began). They delay a contender that "
-        "sleeps, and a long turn, more than a short one that spins: repeat this on a quiet machine before "
+        f"Other programs were running (load average {load:.1f} before the run). They delay contenders that "
+        "sleep, and long turns, more than short turns that spin: repeat this on an idle machine before "
         "you rely on a ratio."
     )
 

@@ -57,15 +57,15 @@ class Way(NamedTuple):
 
 
 _SPIN = (
-    "each process has a core of its own and polls without a pause (spins) where the contender allows it; the "
-    "column names those that block instead"
+    "each process has its own core and polls without a pause (spins) if the contender allows it; the "
+    "column shows which block instead"
 )
 _BLOCK = "both processes share one core, as on a BeagleBone, and sleep until they are woken"
-_APART = "each process has a core of its own and sleeps until it is woken"
+_APART = "each process has its own core and sleeps until it is woken"
 _SHARED = "both processes share one core; the column shows what the waiting side does"
 _CYCLE = (
-    "both programs are cyclic and poll once per period, B half a period after A; each has a core of its own "
-    "where there are two"
+    "both programs are cyclic and poll once per period, B half a period after A; each has its own core "
+    "if there are two"
 )
 _MS = 1_000_000
 TWO_CORES = Arrangement("two-cores", "Two cores, spinning", 2, 0, _SPIN)
@@ -381,7 +381,7 @@ class _Turns:
         # Cyclic programs hardly ever meet on a core; those that spin would wait for each other there.
         if arrangement.cores <= len(self._context.cores) or arrangement.period_ns:
             return True
-        reason = f"it needs {arrangement.cores} cores, this machine gives one"
+        reason = f"it needs {arrangement.cores} cores, but this machine provides one"
         self._context.skip(arrangement.title, reason)
         return False
 

@@ -139,8 +139,8 @@ class Side:
         except subprocess.TimeoutExpired:
             return "it closed its output"
         if status < 0:
-            return f"it was ended by {signal.Signals(-status).name}"
-        return f"it ended with status {status}"
+            return f"it was killed by {signal.Signals(-status).name}"
+        return f"it exited with status {status}"
 
     def _error(self, reason: str) -> SetupError:
         self._log.seek(0)
@@ -152,7 +152,7 @@ def cpu_clock(pid: int) -> int:
     """Return the clock of a process's processor time, as clock_gettime takes it."""
     found = ctypes.c_int()
     if ctypes.CDLL(None).clock_getcpuclockid(pid, ctypes.byref(found)):
-        raise SetupError("SYS002", f"the process {pid} has ended")
+        raise SetupError("SYS002", f"process {pid} has ended")
     return found.value
 
 

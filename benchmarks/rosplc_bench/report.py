@@ -176,12 +176,12 @@ def render(report: Report, sections: Mapping[str, Section]) -> dict[str, Page]:
     pages = {}
     for each in report.sections:
         if each.section not in sections:
-            raise SetupError("SYS007", f"this release knows no section {each.section!r}")
+            raise SetupError("SYS007", f"this release does not have a section {each.section!r}")
         try:
             pages[each.section] = sections[each.section].render(each.data) if each.data else Page()
         except (LookupError, TypeError, ValueError) as error:
             # Only a report that another release or somebody else wrote lacks what this one measures.
-            what = f"its section {each.section!r} lacks something: {type(error).__name__}: {error}"
+            what = f"its section {each.section!r} is incomplete: {type(error).__name__}: {error}"
             raise SetupError("SYS007", what) from error
     return pages
 
@@ -310,7 +310,7 @@ def _machine(report: Report) -> list[str]:
     kind = "virtual machine" if facts["virtual"] else "machine"
     versions = ", ".join(f"{name} {number}" for name, number in facts["versions"].items() if number != "none")
     effort = report.options["effort"]
-    shared = " (the two measured on are threads of one core)" if facts.get("threads_of_one_core") else ""
+    shared = " (the two used are threads of one core)" if facts.get("threads_of_one_core") else ""
     load = [", ".join(f"{value:.2f}" for value in facts[f"load_{when}"]) for when in ("before", "after")]
     return [
         f"{facts['processor']}, {kind} with {cores_text(facts)}{shared}, {facts['kernel']}, "
@@ -319,8 +319,8 @@ def _machine(report: Report) -> list[str]:
         f"before and {load[1]} after. Effort: {effort['name']}, {effort['rounds']} rounds.",
         "",
         *([f"**{remark}**", ""] if (remark := busy(facts)) else []),
-        "**Ratios travel between machines, times do not.** A ratio means little unless you know how each "
-        "side waited: the line below each table describes it.",
+        "**Ratios carry over to other machines, times do not.** A ratio means little unless you know how "
+        "each side waited, which the line below each table describes.",
     ]
 
 

@@ -82,8 +82,8 @@ class Starter:
         if self._program and self._modbus:
             starters |= {name: partial(self._over_modbus, name) for name in ("modbus-slave", "modbus-master")}
         if context.effort.name == "quick":
-            what = "scan cycle in Python, OPC UA among it"
-            context.skip(what, "left out of a quick run", "leave --quick out")
+            what = "scan cycle in Python, including OPC UA"
+            context.skip(what, "not part of a quick run", "run without --quick")
         else:
             starters["rosplc-python"] = self._rosplc_python
             with context.leaving_out("scan cycle over OPC UA"):
@@ -232,7 +232,7 @@ def summary(values: list[int]) -> dict[str, int]:
 def _check(context: Context, runs: list[dict[str, Any]]) -> None:
     if any(one["scheduling"] == "refused" for one in runs):
         remedy = "run as root, or raise rtprio in /etc/security/limits.conf"
-        context.skip("scan cycle with SCHED_FIFO", "this user may not use it", remedy)
+        context.skip("scan cycle with SCHED_FIFO", "this user is not permitted to use it", remedy)
     for method in ("rosplc", "rosplc-python"):
         if torn := sum(one["torn"] for one in runs if one["method"] == method):
             context.fail(f"scan cycle over {NAMES[method]}", f"{torn} torn messages")
@@ -240,8 +240,8 @@ def _check(context: Context, runs: list[dict[str, Any]]) -> None:
 
 _ALONE = (False, False)
 _BESIDE = {
-    _ALONE: "nothing beside it",
-    (False, True): "nothing beside it, SCHED_FIFO",
+    _ALONE: "no other load",
+    (False, True): "no other load, SCHED_FIFO",
     (True, False): "a hog on each core",
     (True, True): "a hog on each core, SCHED_FIFO",
 }
@@ -324,7 +324,7 @@ def _costs(runs: _Runs, methods: list[str], what: str, title: str) -> Table:
             if any(cell is not None for cell in cells):
                 rows.append((words, NAMES[method], *cells))
     parts = [f"{cycle} ms: {part}" for cycle in shown for part in ("median", "p99", "max")]
-    return _table(title, ("beside the task", "method", *parts), rows, text("scan-cycle costs"))
+    return _table(title, ("other load", "method", *parts), rows, text("scan-cycle costs"))
 
 
 def _whole(data: Mapping[str, Any], runs: _Runs) -> Table:

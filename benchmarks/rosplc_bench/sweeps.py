@@ -118,7 +118,7 @@ def run(context: Context) -> dict[str, Any]:
             except ChannelError as error:
                 if error.code != "SHM117":
                     raise
-                context.skip(what, error.what, "make room in /dev/shm")
+                context.skip(what, error.what, "free space in /dev/shm")
     return data
 
 
@@ -253,7 +253,7 @@ def program(name: str, command: list[str], stack: ExitStack) -> Contender:
 
 def _check(arrived: bool) -> None:
     if not arrived:
-        raise SetupError("SYS002", "what arrived is not what was sent")
+        raise SetupError("SYS002", "the messages received differ from those sent")
 
 
 def rosplc_python(channel: OwnedChannel, size: int) -> Contender:
@@ -408,7 +408,7 @@ def render(data: Mapping[str, Any]) -> Page:
         _series(PAYLOAD_NAMES, payload, _microseconds),
         _series(TOPIC_NAMES, topics, _per_second),
     )
-    many = f"Messages per second over so many topics ({waits})"
+    many = f"Messages per second by number of topics ({waits})"
     return Page(
         lead=paragraphs("sweeps lead"),
         tables=(one_way, _table(by_number, "topics", TOPIC_NAMES, topics, _per_second)),
@@ -484,7 +484,7 @@ def _summary(payload: Medians, topics: Medians) -> tuple[str, ...]:
 SECTION = Section(
     name="sweeps",
     title="By size of the message, and by number of topics",
-    question="Where does copying begin to matter, and how many topics can be carried?",
+    question="From which size on does copying matter, and how many topics can be carried?",
     run=run,
     render=render,
     contenders=tuple(dict.fromkeys((*PAYLOAD_NAMES, *TOPIC_NAMES))),

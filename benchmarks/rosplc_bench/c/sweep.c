@@ -31,7 +31,7 @@ static void mark(long turn)
 static void expect_whole(void)
 {
     if (out[0] != record[0] || out[size - 1] != record[size - 1])
-        fail("what arrived is not what was sent");
+        fail("the messages received differ from those sent");
 }
 
 static void serve(const contender *all, int count)

@@ -62,12 +62,12 @@ def test_a_contender_that_fails_is_named_and_left_out(context: Context) -> None:
     """Wrong values fail the run, and the other contenders go on."""
 
     def wrong(_count: int) -> Mapping[str, float]:
-        raise SetupError("SYS002", "what arrived is not what was sent")
+        raise SetupError("SYS002", "the messages received differ from those sent")
 
     found = sweeps._turns(context, [wrong, lambda _count: {"memcpy": 1.0}], AMOUNT)
     assert found == {"memcpy": [1.0]}
     assert len(context.failures) == 1
-    assert "not what was sent" in context.failures[0].reason
+    assert "differ from those sent" in context.failures[0].reason
 
 
 def test_who_is_slow_is_asked_once(context: Context) -> None:
