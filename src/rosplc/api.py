@@ -197,7 +197,7 @@ class Channel:
         ``write=True``, SHM115 if another writer has taken the claim, SHM101 while there is no object.
         """
         if not self._write:
-            raise ChannelError("SHM122", "attached for reading only", where=self.topic)
+            raise ChannelError("SHM122", "the channel was attached for reading only", where=self.topic)
         again = True
         while True:
             try:

@@ -73,7 +73,7 @@ def layout_of(attached: Attached) -> Layout:
     identity = attached.identity
     layout = described_layout(attached.description, where=str(attached.path))
     if (layout.layout_id, layout.size) != (identity.layout_id, identity.record_size):
-        what = f"it describes layout {layout.layout_id} of {layout.size} bytes, the header says "
+        what = f"it describes layout {layout.layout_id} of {layout.size} bytes; the header states "
         what += f"{identity.layout_id} of {identity.record_size}"
         raise ChannelError("SHM113", what, where=str(attached.path))
     return layout

@@ -334,22 +334,22 @@ def when_silent(project: Project, plan: TopicPlan) -> str:
     safe, after = plan.on_stale, format_duration(plan.stale_after_ns)
     if plan.direction == 1:
         if not plan.stale_after_ns:
-            return "the PLC keeps the last message, and xStale never comes"
+            return "the PLC keeps the last message, and xStale is never set"
         value = {
-            "hold": "the PLC keeps the last message",
-            "zero": "every byte of the PLC's msg is zero, with xSubstituted",
-        }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted")
+            "hold": "the PLC keeps the last message and sets",
+            "zero": "every byte of the PLC's msg is zero, with xSubstituted and",
+        }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted and")
         lives = "" if safe.action == "hold" else ", whether or not the bridge runs"
         unchanged = "; a record that does not change counts as silent" if plan.classic else ""
-        return f"after {after} {value} and xStale{lives}{unchanged}"
+        return f"after {after} {value} xStale{lives}{unchanged}"
     diagnostics = project.config.settings.diagnostics
     report = ""
     if plan.stale_after_ns and diagnostics.enabled:
-        report = f"; {format_duration(diagnostics.debounce_ns)} later /diagnostics says STALE"
+        report = f"; {format_duration(diagnostics.debounce_ns)} later /diagnostics shows STALE"
     if safe.action == "substitute":
         return (
             f"after {after} ROS gets {_shown(safe.value)} every {format_duration(safe.period_ns)}, "
-            f"and {flag_topic(plan.topic)} says so{report}"
+            f"and {flag_topic(plan.topic)} shows this{report}"
         )
     return f"ROS gets nothing{report}"
 
@@ -373,13 +373,13 @@ def warnings(project: Project) -> list[str]:
     if (here := os.environ.get("ROS_DISTRO")) and here != project.config.settings.ros.distro:
         found.append(
             f"ROS_DISTRO is {here}, but ros.distro is {project.config.settings.ros.distro}: message "
-            "definitions may differ. Set ros.distro to the installed distribution, unless this is meant."
+            "definitions may differ. Set ros.distro to the installed distribution, unless this is intended."
         )
     found += [*open_doors(project.config), *contention(project.config)]
     if isinstance(names := plc_names(project), RosplcError):
         found.append(f"rosplc generate would refuse this: {names.what} [{names.code}]. {names.remedy}")
     if not project.plans:
-        found.append("the file names no topics, services or actions: a bridge would carry nothing")
+        found.append("the file has no topics, services or actions: a bridge would carry nothing")
     for plan in project.topics:
         if plan.layout.size > _LARGE_RECORD:
             found.append(
@@ -393,12 +393,12 @@ def warnings(project: Project) -> list[str]:
         if plan.classic is not None and plan.on_stale.action in ("zero", "value"):
             found.append(
                 f"{plan.topic}: on_stale with classic: the same message sent again and again counts as "
-                "silent, because nothing in a bare record tells of it; let the source change a field."
+                "silent, because a bare record does not show it; have the source change a field."
             )
         if plan.classic is not None and not plan.classic.semaphore:
             found.append(
-                f"{plan.topic}: nothing guards the classic memory {plan.classic.name}; a record larger than "
-                "a word can be read half written."
+                f"{plan.topic}: no lock guards the classic memory {plan.classic.name}; a record larger than "
+                "a word can be read half-written."
             )
     total = sum(memory(project, plan)["memory_bytes"] for plan in project.topics)
     if total > _MUCH_MEMORY:

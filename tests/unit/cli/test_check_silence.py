@@ -13,8 +13,8 @@ INT = "std_msgs/msg/Int32"
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("to: plc", "after 1s the PLC keeps the last message and xStale"),
-        ("to: plc, stale_after: never", "the PLC keeps the last message, and xStale never comes"),
+        ("to: plc", "after 1s the PLC keeps the last message and sets xStale"),
+        ("to: plc, stale_after: never", "the PLC keeps the last message, and xStale is never set"),
         (
             "to: plc, on_stale: zero",
             "after 1s every byte of the PLC's msg is zero, with xSubstituted and xStale, "
@@ -31,11 +31,11 @@ INT = "std_msgs/msg/Int32"
             "whether or not the bridge runs; a record that does not change counts as silent",
         ),
         ("to: ros", "ROS gets nothing"),
-        ("to: ros, stale_after: 2s", "ROS gets nothing; 500ms later /diagnostics says STALE"),
+        ("to: ros, stale_after: 2s", "ROS gets nothing; 500ms later /diagnostics shows STALE"),
         (
             "to: ros, stale_after: 2s, on_stale: {value: {data: -1}, period: 5Hz}",
-            'after 2s ROS gets {"data": -1} every 200ms, and /a/substituted says so; '
-            "500ms later /diagnostics says STALE",
+            'after 2s ROS gets {"data": -1} every 200ms, and /a/substituted shows this; '
+            "500ms later /diagnostics shows STALE",
         ),
     ],
 )

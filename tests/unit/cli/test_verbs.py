@@ -179,7 +179,7 @@ def test_check_warns_of_what_is_probably_not_meant(config):
     output = rosplc("check", config(topics=topics)).output
     assert "Warning: /image: a record has" in output
     assert "Warning: /text: on_overflow" in output
-    assert "Warning: the file names no topics" in rosplc("check", config(topics={})).output
+    assert "Warning: the file has no topics" in rosplc("check", config(topics={})).output
 
 
 def test_check_warns_of_a_backend_that_is_not_installed(config, monkeypatch):
