@@ -292,5 +292,5 @@ def test_a_command_that_fails_is_named_with_what_it_said(tmp_path: Path) -> None
     """Exit status and message of a command reach the reader; a missing program is one too."""
     with pytest.raises(SetupError, match=r"sh -c .*failed: no such unit"):
         execute([Run(("sh", "-c", "echo no such unit >&2; exit 3"))], lambda _: None)
-    with pytest.raises(SetupError, match="there is no rosplc-no-such-program"):
+    with pytest.raises(SetupError, match="rosplc-no-such-program is not installed"):
         execute([Run(("rosplc-no-such-program",))], lambda _: None)
