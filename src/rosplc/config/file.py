@@ -134,7 +134,7 @@ def _validate(source: YamlSource, base: Path, problems: Problems) -> Config:
 
     data = {} if source.data is None else source.data
     if not isinstance(data, dict):
-        what = "the file should hold keys such as topics:, not a list or a text"
+        what = "the file must contain keys such as topics:, not a list or a string"
         problems.add(ConfigError("CFG004", what, where=source.name))
         problems.check()
     data = _with_new_names(data, source, problems)
@@ -168,7 +168,7 @@ def _with_new_names(data: dict[str, Any], source: YamlSource, problems: Problems
     for number, (topic, old) in enumerate(found):
         new, path = RENAMED[old], ("topics", topic, old)
         if new in topics[topic]:
-            what = f"{old!r} is the former name of {new!r}, which is written too; remove {old!r}"
+            what = f"{old!r} is the former name of {new!r}, which is also set; remove {old!r}"
             problems.add(source.wrong(path, what, code="CFG010"), source.line(path))
         topics[topic] = {(new if key == old else key): value for key, value in topics[topic].items()}
         source.lines[("topics", topic, new)] = source.line(path)
@@ -225,7 +225,7 @@ def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigE
     if kind == "literal_error":
         known = [word.strip(" '") for word in context["expected"].replace(" or ", ", ").split(", ")]
         hint = did_you_mean(str(value), known)
-        listed = "" if hint.startswith("; there are") else f" There are: {', '.join(known)}"
+        listed = "" if hint.startswith("; known") else f" Known: {', '.join(known)}"
         return source.wrong(path, f"{value!r} is not valid{hint}{listed}")
     if kind == "value_error":
         return source.wrong(path, str(context["error"]))
@@ -239,13 +239,13 @@ _FOLDERS = {"services": "/srv/", "actions": "/action/"}
 _MISSING = {
     "to": "Add `to: plc` for messages from ROS to the PLC, or `to: ros` for the other direction.",
     "type": "Add `type: package/msg/Name`; `rosplc types` lists the types.",
-    "server": "Add `server: ros` for what the PLC uses, or `server: plc` for what it carries out.",
+    "server": "Add `server: ros` if the PLC is a client, or `server: plc` if the PLC is the server.",
 }
 _SHAPES = {
     "model_type": "a group of keys",
     "dict_type": "a group of keys",
     "int_type": "a whole number",
-    "string_type": "text; put it into quotes",
+    "string_type": "text; put it in quotes",
     "bool_type": "true or false",
     "bool_parsing": "true or false",
     "tuple_type": "a list, such as [./msg]",

@@ -95,10 +95,10 @@ def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> 
     span: tuple[float, float, float] | None = None
     if entry.range is not None:
         if entry.type not in ("integer", "double"):
-            raise ValueError(f"a {entry.type} has no range")
+            raise ValueError(f"a {entry.type} cannot have a range")
         least, greatest, step = (converted(entry.type, each) for each in (*entry.range, 0)[:3])
         if not least <= greatest or step < 0:
-            raise ValueError(f"the range {list(entry.range)} has nothing in it")
+            raise ValueError(f"the range {list(entry.range)} is empty")
         span = least, greatest, step
     value = entry.value
     if value is None:

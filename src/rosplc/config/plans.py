@@ -59,10 +59,10 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
     key = ("topics", topic, "classic")
     if len(name) > MAX_NAME:
         what = f"the name {name!r} has {len(name)} characters; a PLC's STRING holds {MAX_NAME}"
-        raise config.source.wrong(key, what, "Give a shorter one with classic: {name: …}.")
+        raise config.source.wrong(key, what, "Set a shorter name with classic: {name: …}.")
     if name.startswith(settings.prefix + "."):
         what = f"the name {name!r} begins with {settings.prefix}., as this bridge's own objects do"
-        raise config.source.wrong(key, what, "Give another with classic: {name: …}.")
+        raise config.source.wrong(key, what, "Set another name with classic: {name: …}.")
     if settings.shm.directory != "/dev/shm":
         what = "classic topics are in /dev/shm, where semaphores are; shm.directory is "
         raise config.source.wrong(key, what + settings.shm.directory)
@@ -108,7 +108,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     if isinstance(asked, str):
         if (asked == "stop") != (entry.to == "ros"):
             right = "hold, zero or {value: …}" if entry.to == "plc" else "stop or {value: …, period: …}"
-            raise wrong(f"{asked!r} is not for to: {entry.to}", f"Write {right}.")
+            raise wrong(f"{asked!r} cannot be used with to: {entry.to}", f"Write {right}.")
         if asked == "zero":
             _check_silence(entry, stale_ns, wrong)
         return StalePlan(asked)
@@ -116,7 +116,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     record = checked_record(config, asked.value, layout, (*key, "value"))
     if entry.to == "plc":
         if asked.period_ns is not None:
-            what = "a PLC's block has its value at every scan; there is no period"
+            what = "a PLC block provides its value at every scan and has no period"
             raise wrong(what, "Remove it.", (*key, "period"))
         return StalePlan("value", asked.value, record)
     if asked.period_ns is None:
@@ -124,8 +124,8 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     if asked.period_ns < _SHORTEST_NS:
         raise wrong(f"{format_duration(asked.period_ns)} is shorter than 1ms", at=(*key, "period"))
     if flag_topic(topic) in config.settings.topics:
-        what = f"{flag_topic(topic)} tells ROS that {topic} is substituted, and is a topic of this file"
-        raise wrong(what, "Rename that topic.")
+        what = f"{flag_topic(topic)} tells ROS that {topic} is substituted; it cannot be configured"
+        raise wrong(what, "Rename the configured topic.")
     return StalePlan("substitute", asked.value, record, asked.period_ns)
 
 
@@ -133,18 +133,16 @@ def _check_silence(entry: TopicSettings, stale_ns: int, wrong: Any) -> None:
     """Refuse what would take a source that speaks for silent, or never notice that it is."""
     if not stale_ns:
         default = "" if entry.stale_after_ns is not None else " (the default of to: ros)"
-        raise wrong(f"stale_after is never{default}: no silence would count", "Add stale_after: 1s.")
+        raise wrong(f"stale_after is never{default}, so no silence counts", "Add stale_after: 1s.")
     if entry.to == "ros":
         if entry.classic is not None:
-            what = "a classic memory does not tell a silent PLC from one that writes the same message again"
+            what = "in a classic memory, a silent PLC looks like one that repeats the same message"
             raise wrong(what, "Remove it, or carry the topic without classic.")
     elif entry.classic is None and entry.on_change:
-        what = "on_change holds equal messages back, so that a steady source would count as silent"
+        what = "on_change drops equal messages, so a source that repeats a message would count as silent"
         raise wrong(what, "Remove on_change.")
     if (entry.rate_limit_ns or 0) >= stale_ns:
-        what = (
-            f"rate_limit leaves more time between two messages than stale_after: {format_duration(stale_ns)}"
-        )
+        what = f"rate_limit allows more time between messages than stale_after, {format_duration(stale_ns)}"
         raise wrong(what, "Raise stale_after, or remove rate_limit.")
 
 
@@ -358,16 +356,16 @@ def _contradictions(
     for client, use in entry.clients.items():
         config.task(use.task, (*path, "clients", client, "task"), problems)
     if entry.server == "plc" and entry.clients:
-        what = "what the PLC carries out has its clients in ROS"
+        what = "with `server: plc`, the clients are in ROS"
         wrong(("clients",), what, "Remove it, or write `server: ros`.")
     for name in sorted(plan.only[other] & entry.model_fields_set):
         name = name.removesuffix("_ns")
-        wrong((name,), f"{name} is for `server: {other}`", "Remove it.")
+        wrong((name,), f"{name} applies only to `server: {other}`", "Remove it.")
     if isinstance(entry, ServiceSettings):
         if entry.per_client is not None and entry.per_client > entry.depth:
             wrong(("per_client",), f"{entry.per_client} is more than depth, {entry.depth}")
     elif entry.queue is not None and entry.server == "plc" and entry.on_new_goal != "buffer":
-        what = f"no goal waits with `on_new_goal: {entry.on_new_goal}`"
+        what = f"with `on_new_goal: {entry.on_new_goal}`, no goal waits"
         wrong(("queue",), what, "Remove it, or write `on_new_goal: buffer`.")
     seen: dict[str, str] = {}
     for client in entry.clients:

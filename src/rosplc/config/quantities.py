@@ -40,7 +40,7 @@ def parse_rate(value: Any) -> int:
         return parse_duration(value)
     hertz = number * _RATES[unit]
     if not 0 < hertz <= 10**6 or 10**9 / hertz > _LONGEST:
-        raise ValueError(f"{value!r} is not between one a day and 1000kHz")
+        raise ValueError(f"{value!r} is not between once a day and 1000kHz")
     return round(10**9 / hertz)
 
 
@@ -60,11 +60,11 @@ def parse_mode(value: Any) -> int:
     mode = int(value[-3:], 8)
     if mode & 0o600 != 0o600:
         raise ValueError(
-            f'{value!r} keeps the owner, the bridge, from reading and writing; begin it with 6, as in "0660"'
+            f'{value!r} does not let the owner, the bridge, read and write; start with 6, as in "0660"'
         )
     if mode & 0o111:
         raise ValueError(
-            f'{value!r} has execute bits, which shared memory has no use for; "0660" is the usual mode'
+            f'{value!r} has execute bits, which shared memory does not use; "0660" is the usual mode'
         )
     return mode
 

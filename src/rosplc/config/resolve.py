@@ -282,8 +282,8 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
     qos = _qos(entry)
     backend = config.settings.ros.backend
     if qos.promises and (backend not in ("auto", "dds") or layout.store.ros_version == 1):
-        what = f"deadline and lease are carried by the dds backend alone; ros.backend is {backend}"
-        raise config.source.wrong(("topics", topic, "qos"), what, "Remove them; stale_after needs neither.")
+        what = f"only the dds backend supports deadline and lease; ros.backend is {backend}"
+        raise config.source.wrong(("topics", topic, "qos"), what, "Remove both; stale_after still works.")
     classic = classic_plan(config, topic, entry, task)
     every = entry.every if entry.every is not None else not to_plc and classic is None
     stale = entry.stale_after_ns if entry.stale_after_ns is not None else _STALE_NS[entry.to]
@@ -364,20 +364,20 @@ def check_ros(config: Config, problems: Problems) -> None:
     """Note what contradicts itself in the section ``ros``."""
     ros, refuse = config.settings.ros, partial(problems.wrong, config.source)
     if ros.backend in _ROS2 and ros.distro == ROS1:
-        what = f"the {ros.backend} backend speaks ROS 2, and {ROS1} is ROS 1"
+        what = f"the {ros.backend} backend is for ROS 2, but {ROS1} is ROS 1"
         refuse(("ros", "backend"), what, "Write `backend: rospy` (or auto), or a distro of ROS 2.")
     if ros.backend == "rospy" and ros.distro != ROS1:
         known = "" if "distro" in ros.model_fields_set else " (the default)"
-        what = f"the rospy backend speaks ROS 1, and {ros.distro}{known} is ROS 2"
+        what = f"the rospy backend is for ROS 1, but {ros.distro}{known} is ROS 2"
         refuse(("ros", "backend"), what, f"Write `distro: {ROS1}`, or `backend: auto`.")
     for name in OWN_SETTINGS:
         if getattr(ros, name) is None:
             continue
         if ros.backend not in ("auto", name):
-            what = f"settings of the {name} backend, while the backend is {ros.backend}"
+            what = f"these settings are for the {name} backend, but ros.backend is {ros.backend}"
             refuse(("ros", name), what, f"Write `backend: {name}`, or remove them.")
         elif ros.distro == ROS1:
-            what = f"settings of the {name} backend, which speaks ROS 2; {ROS1} is ROS 1"
+            what = f"these settings are for the {name} backend, which is for ROS 2; {ROS1} is ROS 1"
             refuse(("ros", name), what, "Remove them, or choose a distro of ROS 2.")
     if ros.zenoh is not None and ros.zenoh.config is not None:
         path = config.base / ros.zenoh.config

@@ -112,7 +112,7 @@ def _pattern(expression: str, wording: str, longest: int = LONGEST_NAME) -> Afte
 def _known_distro(name: str) -> str:
     if name not in DISTROS:
         hint = did_you_mean(name, DISTROS)
-        listed = "" if "there are" in hint else f" There are: {', '.join(DISTROS)}"
+        listed = "" if "; known" in hint else f" Known: {', '.join(DISTROS)}"
         raise ValueError(f"{name!r} is not bundled{hint}{listed}")
     return name
 
@@ -209,30 +209,30 @@ def _f(default: Any, description: str, **constraints: Any) -> Any:
 
 
 class ZenohSettings(_Section):
-    """How the `zenoh` backend reaches the others; what is not given is as rmw_zenoh has it."""
+    """How the `zenoh` backend reaches its peers; the defaults are those of rmw_zenoh."""
 
     mode: Literal["peer", "client"] | None = _f(
-        None, "`peer` finds others by gossip and speaks to them directly; `client` goes through a router."
+        None, "`peer` finds peers by gossip and connects to them directly; `client` uses a router."
     )
     connect: Annotated[tuple[Locator, ...], Field(max_length=MOST_PATHS)] | None = _f(
-        None, "Where routers or peers are, such as `tcp/192.168.1.10:7447`."
+        None, "Addresses of routers or peers, such as `tcp/192.168.1.10:7447`."
     )
     listen: Annotated[tuple[Locator, ...], Field(max_length=MOST_PATHS)] | None = _f(
-        None, "Where others may connect, such as `tcp/0.0.0.0:0`."
+        None, "Addresses to listen on, such as `tcp/0.0.0.0:0`."
     )
     config: Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)] | None = _f(
-        None, "A Zenoh configuration file (JSON5), relative to this file; the keys above come on top of it."
+        None, "A Zenoh configuration file (JSON5), relative to this file; the keys above override it."
     )
 
 
 class RclpySettings(_Section):
-    """What the `rclpy` backend's node is started with."""
+    """How the node of the `rclpy` backend is started."""
 
     ros_args: tuple[Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)], ...] = _f(
-        (), "ROS arguments of the node, as after `--ros-args` on a command line, one by one."
+        (), "ROS arguments of the node, as a list of the words after `--ros-args`."
     )
     parameters: dict[str, str | list[str]] = _f(
-        {}, "Parameters that the node shows, by name: texts or lists of texts."
+        {}, "Parameters that the node shows, by name: strings or lists of strings."
     )
 
 
@@ -241,39 +241,37 @@ class RosSettings(_Section):
 
     backend: BackendName = _f(
         "auto",
-        "How to reach ROS. `auto` chooses by distribution, environment and what is installed, and says "
-        "what and why (`rosplc check`); `memory` stays inside the process and is for tests.",
+        "How to reach ROS. `auto` chooses by distribution, environment and installed packages; "
+        "`rosplc check` shows the choice and the reason. `memory` stays inside the process and is for tests.",
     )
-    distro: Distro = _f("jazzy", "Whose message definitions hold; `noetic` is ROS 1.")
-    domain: StrictInt | None = _f(
-        None, "The ROS domain. Without it `ROS_DOMAIN_ID` holds, else 0.", ge=0, le=232
-    )
-    node_name: NodeName | None = _f(None, "The node's name. Without it `rosplc_` and the bridge's name.")
+    distro: Distro = _f("jazzy", "The distribution whose message definitions apply; `noetic` is ROS 1.")
+    domain: StrictInt | None = _f(None, "The ROS domain. Default: `ROS_DOMAIN_ID`, else 0.", ge=0, le=232)
+    node_name: NodeName | None = _f(None, "The node's name. Default: `rosplc_` and the bridge's name.")
     namespace: NamespaceName = _f(
         "/", "The node's namespace; topics in this file are absolute and ignore it."
     )
     remap: dict[GraphName, GraphName] = _f(
         {},
-        "Topic → topic, as `-r from:=to` on the command line, which comes first; the PLC's names stay.",
+        "Topic → topic, as `-r from:=to` on the command line, which takes precedence; names in the PLC stay.",
         max_length=MOST_REMAPPINGS,
     )
-    zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; `auto` then takes it.")
+    zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; with them, `auto` selects it.")
     rclpy: RclpySettings | None = _f(None, "Settings of the `rclpy` backend.")
 
 
 class TypesSettings(_Section):
-    """Where message types come from, beyond those that are bundled."""
+    """Custom message types, in addition to the bundled ones."""
 
     paths: tuple[Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)], ...] = _f(
         (),
-        "Folders with custom `.msg`, `.srv` and `.action` files, relative to this file: `pkg/msg/Name.msg`, "
-        "a package, a file.",
+        "Custom `.msg`, `.srv` and `.action` files, relative to this file: a folder with "
+        "`pkg/msg/Name.msg` files, a package or a file.",
         max_length=MOST_PATHS,
     )
 
 
 class LimitSettings(_Section):
-    """Capacities where neither the definition nor a topic's `limits` gives one."""
+    """Default capacities, unless set in the definition or in a topic's `limits`."""
 
     string: StrictInt = _f(80, "Bytes of a string.", ge=1, le=65534)
     sequence: StrictInt = _f(16, "Elements of a sequence.", ge=1, le=1 << 24)
@@ -292,67 +290,63 @@ class ShmSettings(_Section):
         None, "Group that owns the objects, by name or number."
     )
     directory: Annotated[str, _pattern(r"/.*", "an absolute path", LONGEST_TEXT)] = _f(
-        "/dev/shm", "Where the objects lie; another place is for tests and containers."
+        "/dev/shm", "The folder of the objects; change it only for tests and containers."
     )
 
 
 class DiagnosticsSettings(_Section):
-    """What the bridge says about itself on `/diagnostics`."""
+    """The bridge's reports on `/diagnostics`."""
 
     enabled: bool = _f(True, "Whether `diagnostic_msgs/msg/DiagnosticArray` is published.")
     period_ns: Annotated[Duration, between("100ms", "1h")] = _f(
-        "1s", "Time between two of them, 100ms to 1h."
+        "1s", "Time between two such messages, 100ms to 1h."
     )
     debounce_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "500ms",
-        "How long a source must be silent beyond `stale_after` before that is reported, and speak again "
-        "before the report ends, 1ms to 1h: one late message changes no level.",
+        "How long a source must be silent beyond `stale_after` before this is reported, and send again "
+        "before the report ends, 1ms to 1h: a single late message does not change the level.",
     )
 
 
 class RosoutSettings(_Section):
-    """What goes to `/rosout`, where ROS collects what nodes log."""
+    """Logs that go to `/rosout`, where ROS collects the logs of nodes."""
 
     bridge: bool = _f(
-        True, "Whether the bridge's log does. `--ros-args --disable-rosout-logs` turns it off, too."
+        True, "Publish the bridge's log there. `--ros-args --disable-rosout-logs` also turns this off."
     )
-    plc: bool = _f(False, "Whether the PLC's program can log there, with blocks `RosPlc_Log`.")
-    task: TaskName | None = _f(None, "The PLC task that has these blocks. Without it the first of `tasks`.")
+    plc: bool = _f(False, "Let the PLC program log there, with `RosPlc_Log` blocks.")
+    task: TaskName | None = _f(None, "The PLC task that has these blocks. Default: the first of `tasks`.")
 
 
 class TimeSettings(_Section):
     """ROS time in the PLC."""
 
-    plc: bool = _f(False, "Whether the PLC has it, in `ROS_Read.ros_time`, a block `RosPlc_Time`.")
-    use_sim_time: bool = _f(
-        False, "Whether `/clock` gives it, as `--ros-args -p use_sim_time:=true` says, too; else the system."
-    )
-    task: TaskName | None = _f(None, "The PLC task that has the block. Without it the first of `tasks`.")
+    plc: bool = _f(False, "Provide ROS time in the PLC, in `ROS_Read.ros_time`, a `RosPlc_Time` block.")
+    use_sim_time: bool = _f(False, "Take the time from `/clock`, as with `--ros-args -p use_sim_time:=true`.")
+    task: TaskName | None = _f(None, "The PLC task that has the block. Default: the first of `tasks`.")
 
 
 class RealtimeSettings(_Section):
-    """Real-time scheduling of the bridge's threads; without it the bridge is an ordinary process.
+    """Real-time scheduling of the bridge's threads; without this section, the bridge is an ordinary process.
 
-    It holds for the threads that carry messages and beat: the carriers, the heartbeat and the ROS side's
-    own; not for the reporter, which asks ROS and publishes diagnostics.
+    It applies to the threads that carry messages and send heartbeats, including those of the ROS side; not
+    to the reporter, which queries ROS and publishes diagnostics.
     """
 
     policy: Literal["fifo"] | None = _f(
-        None, "`fifo`: SCHED_FIFO, ahead of every ordinary process. It takes the right to it (SYS010)."
+        None, "`fifo`: SCHED_FIFO, ahead of every ordinary process. It requires permission (SYS010)."
     )
     priority: StrictInt = _f(
-        20, "SCHED_FIFO priority, 1 to 99. CODESYS' tasks have 52 to 67; stay below them.", ge=1, le=99
+        20, "SCHED_FIFO priority, 1 to 99. CODESYS tasks have 52 to 67; use a lower one.", ge=1, le=99
     )
     affinity: tuple[Annotated[StrictInt, Field(ge=0, le=4095)], ...] = _f(
-        (), "Processors that these threads may run on, such as `[1]`. Without it all."
+        (), "Processors that these threads may run on, such as `[1]`. Default: all."
     )
-    lock_memory: bool = _f(
-        False, "Keep every page that is in use in memory, so that none has to be fetched back."
-    )
+    lock_memory: bool = _f(False, "Lock all pages in use in memory, so that none is swapped out.")
     gc: Literal["auto", "off", "freeze"] = _f(
         "auto",
-        "Python's garbage collector. `freeze`: what is there after the start is looked at no more. `off`: "
-        "also no collection when it likes, but a short one each second and a full one each minute.",
+        "Python's garbage collector. `freeze`: it no longer examines objects from before the start. `off`: "
+        "in addition, it runs only on a timer: a short collection each second, a full one each minute.",
     )
 
     @model_validator(mode="after")
@@ -367,76 +361,76 @@ class TaskSettings(_Section):
 
     kind: Literal["cyclic", "freewheeling"] = _f("cyclic", "The kind of task.")
     interval_ns: Duration = _f("10ms", "The cycle time.")
-    priority: StrictInt = _f(4, "0 is the highest, 31 the lowest.", ge=0, le=31)
-    watchdog_ns: Duration | None = _f(None, "The longest a cycle may take. Without it there is no watchdog.")
-    watchdog_sensitivity: StrictInt = _f(1, "How many excesses in a row raise the watchdog.", ge=1, le=255)
+    priority: StrictInt = _f(4, "The priority: 0 is the highest, 31 the lowest.", ge=0, le=31)
+    watchdog_ns: Duration | None = _f(None, "The longest time that a cycle may take. Default: no watchdog.")
+    watchdog_sensitivity: StrictInt = _f(1, "Number of overruns in a row that trigger it.", ge=1, le=255)
 
 
 class QosSettings(_Section):
-    """ROS 2's quality of service; what is not given comes from the preset."""
+    """ROS 2's quality of service; omitted keys come from the preset."""
 
     preset: Literal["default", "sensor_data", "latched"] | None = _f(
         None,
         "`default`: reliable, volatile, depth 10. `sensor_data`: best effort, volatile, depth 5. "
-        "`latched`: reliable, transient local, depth 1000. Without a preset the direction's default holds.",
+        "`latched`: reliable, transient local, depth 1000. Default: that of the direction.",
     )
-    reliability: Literal["reliable", "best_effort"] | None = _f(None, "Whether lost messages are repeated.")
+    reliability: Literal["reliable", "best_effort"] | None = _f(None, "Whether lost messages are sent again.")
     durability: Literal["volatile", "transient_local"] | None = _f(
         None,
-        "Whether the middleware keeps messages for late subscribers; `to: plc` asks publishers for those. "
-        "Without it a written `latched` decides, else the preset or the direction.",
+        "Whether the middleware keeps messages for late subscribers; `to: plc` requests that. "
+        "Default: as `latched` if that is set, else by preset or direction.",
     )
     depth: StrictInt | None = _f(
-        None, "How many messages wait at most (in ROS 1: `queue_size`).", ge=1, le=100_000
+        None, "The largest number of waiting messages (in ROS 1: `queue_size`).", ge=1, le=100_000
     )
     deadline_ns: Interval | None = _f(
         None,
-        "`dds` only: the longest time between two messages. `to: plc` asks publishers for it, and one that "
-        "does not offer it is not received; `to: ros` offers it to subscribers. What is missed is counted.",
+        "`dds` only: the longest time between two messages. `to: plc` requests it, and publishers that do "
+        "not offer it are not received; `to: ros` offers it to subscribers. Missed deadlines are counted.",
     )
     lease_ns: Annotated[Duration, between("100ms", "1h")] | None = _f(
         None,
         "`dds` only: how long after its last sign of life a publisher counts as gone (automatic "
-        "liveliness), 100ms to 1h. Asked for and offered as `deadline` is.",
+        "liveliness), 100ms to 1h. Requested and offered like `deadline`.",
     )
 
 
 class ClassicSettings(_Section):
     """Classic mode: the bare record at offset 0 of a shared memory, guarded by a named semaphore.
 
-    For PLC projects that exist already; `classic: true` takes every default.
+    For existing PLC projects; `classic: true` uses every default.
     """
 
     name: SharedName | None = _f(
         None,
         "Name of the shared memory, without a slash. "
-        "Without it the topic's, with dots for inner slashes: `/cmd_vel` is `cmd_vel`.",
+        "Default: the topic's, with dots for inner slashes: `/cmd_vel` is `cmd_vel`.",
     )
     semaphore: SharedName | None = _f(
         None,
-        "Name of the semaphore, without `sem.`; without it the memory's. "
+        "Name of the semaphore, without `sem.`. Default: that of the memory. "
         "`none`: nothing guards the memory, as in CODESYS' own sample.",
     )
     wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
-        "5ms", "How long a side tries to get the lock before it leaves it for the next time, 100us to 1s."
+        "5ms", "How long a side tries to get the lock before it gives up until its next cycle, 100us to 1s."
     )
     recover_after_ns: Annotated[Duration, between("20ms", "1h")] = _f(
         "1s",
         "How long the lock must be held without any sign of life before its holder counts as dead and the "
-        "bridge frees it, 20ms to 1h. Longer than anything that may stop a living holder.",
+        "bridge frees it, 20ms to 1h. Set it longer than any pause of a living holder.",
     )
 
 
 class OnStaleSettings(_Section):
-    """A message of your own in a silent source's place."""
+    """A message that replaces those of a silent source."""
 
     value: dict[str, Any] = Field(
-        description="The message's fields, as in `{linear: {x: 0.1}}`; what is left out has the type's "
-        "initial value, which is zero nearly everywhere."
+        description="The message's fields, as in `{linear: {x: 0.1}}`; omitted fields have the type's "
+        "initial value, which is zero for most fields."
     )
     period_ns: Interval | None = _f(
         None,
-        "`to: ros`, and needed there: how often the message is published while the PLC is silent, `10Hz` or "
+        "Required for `to: ros`: how often the message is published while the PLC is silent, as `10Hz` or "
         "`100ms`.",
     )
 
@@ -457,8 +451,8 @@ class TopicSettings(_Section):
     """One topic, carried in one direction."""
 
     type: TypeName = Field(description="The message type, `package/msg/Name`.")
-    to: Literal["plc", "ros"] = Field(description="Where its messages go.")
-    task: TaskName | None = _f(None, "The PLC task that handles it. Without it the first of `tasks`.")
+    to: Literal["plc", "ros"] = Field(description="The direction in which messages are carried.")
+    task: TaskName | None = _f(None, "The PLC task that handles it. Default: the first of `tasks`.")
     limits: dict[str, StrictInt] = _f(
         {},
         "Capacities by field path (`name: 6`, `name[]: 32`, `points[].label: 20`); `string` and `sequence` "
@@ -473,39 +467,39 @@ class TopicSettings(_Section):
     )
     latched: bool | None = _f(
         None,
-        "Whether a message in shared memory from before a start counts. `to: plc`: a starting PLC takes it "
-        "as new. `to: ros`: a bridge that starts publishes it again. `classic`: what the memory holds at the "
-        "start is a message towards ROS, and a new memory gets the last message towards the PLC. "
+        "Whether a message that is in shared memory before a start is used. `to: plc`: a starting PLC takes "
+        "it as new. `to: ros`: a starting bridge publishes it again. `classic`: the content of the memory at "
+        "the start is a message towards ROS, and a new memory gets the last message towards the PLC. "
         "Default: whether `qos` asks for transient local.",
     )
     every: bool | None = _f(
         None,
-        "Whether every message counts, in order, or the newest alone. "
+        "Whether every message is delivered, in order, or only the newest. "
         "Default: true towards ROS, false towards the PLC.",
     )
     slots: StrictInt | None = _f(
         None,
         "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. "
-        "Default: sized by rate and task; towards ROS so that a bridge may pause for 200 ms.",
+        "Default: by rate and task; towards ROS, enough for a bridge that pauses for 200 ms.",
         ge=4,
         le=65536,
     )
     expected_rate_ns: Interval | None = _f(
-        None, "The highest rate at which messages come, for sizing alone; `rate_limit` is what holds back."
+        None, "The highest rate of arriving messages. It only sizes the slots; `rate_limit` limits the rate."
     )
     rate_limit_ns: Interval | None = _f(
         None,
         "Highest rate (`10Hz`) or shortest interval (`100ms`) at which messages are passed on. "
-        "In between the newest waits; the last one is never dropped.",
+        "In between, the newest message waits; the last one is never dropped.",
     )
     on_change: bool = _f(
         False,
-        "Pass a message on only if it differs from the one before. `classic` towards ROS: true unless "
-        "written, since nothing else tells of a new message; `false` publishes at every look, with the "
-        "period of `rate_limit`, else `expected_rate`, else the task's.",
+        "Pass a message on only if it differs from the previous one. Default with `classic` towards ROS: "
+        "true, since nothing else reveals a new message; `false` publishes at every poll, with the period of "
+        "`rate_limit`, else of `expected_rate`, else of the task.",
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
-        "refuse", "What happens to a message that exceeds a limit: refused and counted, or cut and counted."
+        "refuse", "Whether a message that exceeds a limit is refused and counted, or truncated and counted."
     )
     stale_after_ns: StaleAfter | None = _f(
         None,
@@ -514,9 +508,9 @@ class TopicSettings(_Section):
     )
     on_stale: OnStale = _f(
         None,
-        "What is there while the source is silent for longer than `stale_after`. `to: plc`: `hold` (default) "
-        "keeps the last message, `zero` makes every byte zero, `{value: …}` gives the PLC's program that "
-        "message. `to: ros`: `stop` (default) publishes nothing, `{value: …, period: …}` publishes that "
+        "What replaces messages while the source is silent for longer than `stale_after`. `to: plc`: `hold` "
+        "(default) keeps the last message, `zero` makes every byte zero, `{value: …}` gives the PLC program "
+        "that message. `to: ros`: `stop` (default) publishes nothing, `{value: …, period: …}` publishes that "
         "message, counted as substituted.",
     )
     print: bool = _f(False, "Log each message; for debugging.")
@@ -526,21 +520,21 @@ class TopicSettings(_Section):
     ] = _f(
         None,
         "`true`, or keys below: carry this topic as existing shared-memory projects do. "
-        "There is one record, so `slots` and `every` do not go with it.",
+        "There is only one record, so `slots` and `every` cannot be set.",
     )
 
     @model_validator(mode="after")
     def _classic_memory_holds_one_record(self) -> TopicSettings:
         if self.classic is not None and (self.slots is not None or self.every):
             word = "every: true" if self.every else "slots"
-            raise ValueError(f"{word} does not go with classic, which holds one record; remove one of them")
+            raise ValueError(f"{word} cannot be set with classic, which holds one record; remove one of them")
         return self
 
 
 class ClientSettings(_Section):
     """One use of a service or action in the PLC's program."""
 
-    task: TaskName | None = _f(None, "The PLC task that has it. Without it that of the service or action.")
+    task: TaskName | None = _f(None, "The PLC task that has it. Default: the task of the service or action.")
 
 
 def _clients(value: Any) -> Any:
@@ -548,21 +542,21 @@ def _clients(value: Any) -> Any:
         return value
     names = [name for name in value if isinstance(name, str)]
     if len(names) < len(value) or len(set(names)) < len(names):
-        raise ValueError("clients should be a list of different names, or name: {task: …}")
+        raise ValueError("clients must be a list of different names, or name: {task: …}")
     return {name: {} for name in names}
 
 
 class _CallSettings(_Section):
     type: str
-    server: Literal["plc", "ros"] = Field(description="Who carries it out.")
+    server: Literal["plc", "ros"] = Field(description="The side that is the server.")
     clients: Annotated[
         dict[ClientName, ClientSettings], Field(max_length=MOST_CLIENTS), BeforeValidator(_clients)
     ] = _f(
         {},
-        "`server: ros`: the places in the PLC's program that use it, each with a block and objects of its "
-        "own: `[pick, place]`, or `{pick: {task: Fast}}`. Without it there is one, without a name.",
+        "`server: ros`: the places in the PLC program that use it, each with its own block and objects: "
+        "`[pick, place]`, or `{pick: {task: Fast}}`. Default: a single one without a name.",
     )
-    task: TaskName | None = _f(None, "The PLC task that handles it. Without it the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that handles it. Default: the first of `tasks`.")
     limits: dict[str, StrictInt] = _f(
         {},
         "Capacities by field path (`request.name: 6`, `response.message: 200`; of an action `goal.name: 6`"
@@ -570,63 +564,63 @@ class _CallSettings(_Section):
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse",
-        "What happens to what comes from ROS and exceeds a limit: `truncate` cuts it. `refuse`: a request or "
-        "goal is refused; a response leaves the PLC's call `UNREADABLE`; a result is missing when the PLC's "
-        "goal ends; feedback is dropped.",
+        "What happens to data from ROS that exceeds a limit. `truncate`: it is cut. `refuse`: a request or "
+        "goal is refused; a response makes the PLC's call end as `UNREADABLE`; the PLC's goal ends without "
+        "its result; feedback is dropped.",
     )
 
 
 class ServiceSettings(_CallSettings):
-    """One service: `server: ros` is called by the PLC, `server: plc` is carried out by the PLC."""
+    """One service: `server: ros` is called by the PLC, `server: plc` is executed by the PLC."""
 
     type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
     depth: StrictInt = _f(
-        16, "`server: plc`: calls that wait or are carried out at most; one more is refused.", ge=1, le=1000
+        16, "`server: plc`: the most calls that may wait or run; further calls are refused.", ge=1, le=1000
     )
     per_client: StrictInt | None = _f(
         None,
-        "`server: plc`, over `dds`: the same for each client. Without it a quarter of `depth`. Other "
-        "backends do not tell clients apart.",
+        "`server: plc`, over `dds`: the same for each client. Default: a quarter of `depth`. Other "
+        "backends do not distinguish clients.",
         ge=1,
         le=1000,
     )
     rate_limit_ns: Interval | None = _f(
-        None, "`server: plc`: shortest time between two calls that the PLC is given (`10ms`), or a rate."
+        None, "`server: plc`: shortest time between two calls passed to the PLC (`10ms`), or a rate."
     )
     expire_after_ns: Annotated[Duration, between("1ms", "1h")] = _f(
-        "5s", "`server: plc`: a call that has waited for longer is never given to the PLC, 1ms to 1h."
+        "5s", "`server: plc`: a call that has waited for longer is not passed to the PLC, 1ms to 1h."
     )
     fallback: dict[str, Any] | None = _f(
         None,
-        "`server: plc`: the response that a caller gets whenever the PLC gives none, as in "
-        "`{success: false, message: PLC is not running}`. Without it there is none; in ROS 1 an error.",
+        "`server: plc`: the response to a caller when the PLC gives none, as in "
+        "`{success: false, message: PLC is not running}`. Default: no response; in ROS 1, an error.",
     )
 
 
 class ActionSettings(_CallSettings):
-    """One action: `server: ros` is used by the PLC, `server: plc` is carried out by the PLC."""
+    """One action: `server: ros` is used by the PLC, `server: plc` is executed by the PLC."""
 
     type: ActionTypeName = Field(description="The action type, `package/action/Name`.")
     on_new_goal: Literal["reject", "abort", "buffer"] = _f(
         "reject",
-        "`server: plc`: what becomes of a goal that comes while the PLC has one. `reject`: it is rejected. "
-        "`abort`: the PLC is asked to end the one it has (`xPreempt`), and then gets the new one. `buffer`: "
-        "it waits.",
+        "`server: plc`: what happens to a goal that arrives while the PLC has one. `reject`: it is rejected. "
+        "`abort`: the PLC is asked to end its goal (`xPreempt`) and then gets the new one. `buffer`: the new "
+        "goal waits.",
     )
     queue: StrictInt | None = _f(
-        None, "`on_new_goal: buffer`: goals that wait at most, else 4; one more is rejected.", ge=1, le=100
+        None, "`on_new_goal: buffer`: the most goals that wait, else 4; others are rejected.", ge=1, le=100
     )
     accept_within_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "5s",
-        "`server: plc`: a goal that the PLC has neither accepted nor rejected after this time is withdrawn, "
+        "`server: plc`: a goal that the PLC has neither accepted nor rejected after this time is withdrawn "
         "and rejected, 1ms to 1h.",
     )
     keep_result_ns: Annotated[Duration, between("100ms", "1h")] = _f(
-        "10s", "`server: plc`: how long clients can ask for the result of a goal that has ended, 100ms to 1h."
+        "10s", "`server: plc`: how long clients can request the result of a goal that has ended, 100ms to 1h."
     )
     when_plc_down: Literal["cancel", "keep"] = _f(
         "cancel",
-        "`server: ros`: what becomes of a goal in ROS when the PLC's program stops or is silent. `cancel`: "
+        "`server: ros`: what happens to a goal in ROS when the PLC program stops or is silent. `cancel`: "
         "the server is asked to cancel it. `keep`: it continues.",
     )
 
@@ -634,18 +628,18 @@ class ActionSettings(_CallSettings):
 class ParameterSettings(_Section):
     """One parameter of the bridge's node, which is a variable of the PLC."""
 
-    type: Kind = Field(description="Its type, as `rcl_interfaces/msg/ParameterType` has it.")
-    value: Any = _f(None, "What it is at first, in the PLC's code too. Without it zero, false or empty.")
+    type: Kind = Field(description="Its type, one of `rcl_interfaces/msg/ParameterType`.")
+    value: Any = _f(None, "Its initial value, also in the PLC code. Default: zero, false or empty.")
     range: Annotated[tuple[StrictInt | float, ...], Field(min_length=2, max_length=3)] | None = _f(
-        None, "Of an integer or double: `[least, greatest]`, or `[least, greatest, step]`."
+        None, "For an integer or double: `[least, greatest]`, or `[least, greatest, step]`."
     )
-    read_only: bool = _f(False, "Whether only the PLC's program changes it.")
-    description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "What it is, for people.")
+    read_only: bool = _f(False, "Whether only the PLC program may change it.")
+    description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "A description for people.")
     capacity: StrictInt | None = _f(
-        None, "Elements of an array at most; without it `limits.sequence`.", ge=1, le=1 << 24
+        None, "The most elements of an array. Default: `limits.sequence`.", ge=1, le=1 << 24
     )
     length: StrictInt | None = _f(
-        None, "Bytes of a string, or of each of a `string_array`; without it `limits.string`.", ge=1, le=65534
+        None, "Bytes of a string, or of each in a `string_array`. Default: `limits.string`.", ge=1, le=65534
     )
 
 
@@ -654,10 +648,10 @@ class ParametersSettings(_Section):
 
     initial: Literal["file", "plc"] = _f(
         "file",
-        "Whose values hold where there are none from before. `file`: these, or those of `--params-file` and "
-        "`-p`; a PLC that restarts gets the last ones again. `plc`: those that the PLC starts with, always.",
+        "Which values apply at a first start. `file`: those of this file, `--params-file` and `-p`; a PLC "
+        "that restarts gets the last values again. `plc`: always those that the PLC starts with.",
     )
-    task: TaskName | None = _f(None, "The PLC task that takes them. Without it the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that takes them. Default: the first of `tasks`.")
     declare: dict[ParameterName, ParameterSettings] = _f(
         {}, "The parameters by name.", max_length=MOST_SERVICES
     )
@@ -666,13 +660,13 @@ class ParametersSettings(_Section):
 class TransformSettings(_Section):
     """The pose of one frame in another, from the transforms on `/tf` and `/tf_static`."""
 
-    target: FrameName = Field(description="The frame that the pose is given in, such as `base_link`.")
-    source: FrameName = Field(description="The frame whose pose it is, such as `tool0`.")
+    target: FrameName = Field(description="The frame in which the pose is expressed, such as `base_link`.")
+    source: FrameName = Field(description="The frame whose pose is given, such as `tool0`.")
     rate_ns: Annotated[Interval, between("1ms", "1h")] = _f(
-        "50Hz", "How often the PLC is given the pose, such as `100Hz` or `10ms`."
+        "50Hz", "How often the PLC gets the pose, such as `100Hz` or `10ms`."
     )
-    max_age_ns: StaleAfter = _f("1s", "Age from which a pose is not valid unless it is static, or `never`.")
-    task: TaskName | None = _f(None, "The PLC task that reads it. Without it the first of `tasks`.")
+    max_age_ns: StaleAfter = _f("1s", "Age at which a pose that is not static becomes invalid, or `never`.")
+    task: TaskName | None = _f(None, "The PLC task that reads it. Default: the first of `tasks`.")
 
 
 class Settings(_Section):
@@ -688,10 +682,10 @@ class Settings(_Section):
     limits: LimitSettings = _f({}, "Capacities of strings and sequences.")
     shm: ShmSettings = _f({}, "The objects in shared memory.")
     tick_ns: Annotated[Duration, between("50us", "1s")] = _f(
-        "1ms", "How often the bridge looks for messages from the PLC, 50us to 1s."
+        "1ms", "How often the bridge polls for messages from the PLC, 50us to 1s."
     )
     beat_ns: Annotated[Duration, between("10ms", "10s")] = _f(
-        "100ms", "How often the bridge shows that it lives, 10ms to 10s; three missed beats count as gone."
+        "100ms", "Period of the bridge's heartbeat, 10ms to 10s; after three missed beats it counts as gone."
     )
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
     rosout: RosoutSettings = _f({}, "Logs in ROS.")
@@ -699,22 +693,18 @@ class Settings(_Section):
     realtime: RealtimeSettings = _f({}, "Real-time scheduling.")
     tasks: dict[TaskName, TaskSettings] = _f(
         {"RosTask": {}},
-        "Tasks of the PLC by name; the first serves topics that name none.",
+        "Tasks of the PLC by name; topics without `task` belong to the first.",
         min_length=1,
         max_length=MOST_TASKS,
     )
     programs: TaskName = _f(
-        "SharedMemory", "What the names of the generated programs begin with; `--programs` wins."
+        "SharedMemory", "Prefix of the generated programs' names; `--programs` overrides it."
     )
-    topics: dict[TopicName, TopicSettings] = _f(
-        {}, "Topics by name, as ROS writes them.", max_length=MOST_TOPICS
-    )
+    topics: dict[TopicName, TopicSettings] = _f({}, "Topics by their ROS name.", max_length=MOST_TOPICS)
     services: dict[ServiceName, ServiceSettings] = _f(
-        {}, "Services by name, as ROS writes them.", max_length=MOST_SERVICES
+        {}, "Services by their ROS name.", max_length=MOST_SERVICES
     )
-    actions: dict[ActionName, ActionSettings] = _f(
-        {}, "Actions by name, as ROS writes them.", max_length=MOST_SERVICES
-    )
+    actions: dict[ActionName, ActionSettings] = _f({}, "Actions by their ROS name.", max_length=MOST_SERVICES)
     parameters: ParametersSettings = _f({}, "Parameters of the bridge's node: variables of the PLC.")
     transforms: dict[ClientName, TransformSettings] = _f(
         {}, "Poses of frames for the PLC, by a name of your choice.", max_length=MOST_SERVICES

@@ -95,7 +95,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     names = sorted(known)
     if near := nearest(word, names):
         return f"; did you mean {near!r}?"
-    return f"; there are: {', '.join(names)}" if 0 < len(names) <= 20 else ""
+    return f"; known: {', '.join(names)}" if 0 < len(names) <= 20 else ""
 
 
 LARGEST_FILE = 1 << 20  # bytes that a configuration may have; one with 10,000 topics stays below
@@ -163,7 +163,7 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
         raise _too_large(name)
     if half := _HALF.search(text):
         line = text.count("\n", 0, half.start()) + 1
-        raise ConfigError("CFG002", f"{half[0]!r} is not a character", where=f"{name}:{line}")
+        raise ConfigError("CFG002", f"{half[0]!r} is not a valid character", where=f"{name}:{line}")
     builder = _Builder(name, problems)
     try:
         for event in yaml.parse(text, Loader=_Loader):
@@ -176,8 +176,8 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
             getattr(error, "problem", None) or getattr(error, "reason", None) or "the text cannot be parsed"
         )
         if mark is not None and "start any token" in what and text[mark.index : mark.index + 1] == "\t":
-            what = "the line is indented with a tab, and YAML takes blanks only"
-            raise ConfigError("CFG002", what, where=place, remedy="Replace the tab by blanks.") from None
+            what = "the line is indented with a tab; YAML allows only spaces"
+            raise ConfigError("CFG002", what, where=place, remedy="Replace the tab with spaces.") from None
         context = getattr(error, "context", None)
         raise ConfigError("CFG002", f"{what} ({context})" if context else what, where=place) from None
     return YamlSource(name, builder.data, builder.lines, builder.starts)
@@ -228,7 +228,7 @@ class _Builder:
         if isinstance(event, yaml.DocumentStartEvent):
             self._documents += 1
             if self._documents > 1:
-                raise self._no_yaml("a second document begins", line, "Remove the ---.")
+                raise self._no_yaml("the file contains a second document", line, "Remove the ---.")
         elif isinstance(event, yaml.AliasEvent):
             self._refuse(f"*{event.anchor} is an alias", line)
             if self._expects_key():
@@ -237,7 +237,7 @@ class _Builder:
                 self._value(None, line)
         elif isinstance(event, yaml.ScalarEvent):
             if "\0" in event.value:  # which no name, path or text of a message can hold
-                raise self._no_yaml("a text holds a NUL", line)
+                raise self._no_yaml("a string contains a NUL", line)
             self._tag(event.tag, line)
             if self._expects_key():
                 self._key(event.value, line, event.start_mark.index if event.start_mark else 0)

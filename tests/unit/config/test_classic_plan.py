@@ -66,7 +66,7 @@ def test_what_stood_there_before_counts_where_it_is_asked_for() -> None:
     ("entry", "words"),
     [
         ("to: plc, classic: true, slots: 8", "holds one record"),
-        ("to: plc, classic: true, every: true", "every: true does not go with classic"),
+        ("to: plc, classic: true, every: true", "every: true cannot be set with classic"),
         ("to: plc, classic: {name: a/b}", "without a slash"),
         ("to: plc, classic: {name: sem.a}", "not sem."),
         ("to: plc, classic: {name: rosplc.t.a}", "as this bridge's own objects do"),

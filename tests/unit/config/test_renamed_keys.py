@@ -48,7 +48,7 @@ def test_both_names_at_once_are_refused() -> None:
     """The error is at the former name's line."""
     for old, new in RENAMED.items():
         text = f"topics:\n  /a:\n    type: a/b\n    to: plc\n    {new}: 10Hz\n    {old}: 10Hz\n"
-        with pytest.raises(ConfigErrors, match=rf"c\.yaml:6: topics\./a\.{old}: .* written too"):
+        with pytest.raises(ConfigErrors, match=rf"c\.yaml:6: topics\./a\.{old}: .* also set"):
             parse_config(text, name="c.yaml")
         assert rename_keys(text) == (text, [])
 

@@ -47,21 +47,21 @@ def test_values_become_records() -> None:
 @pytest.mark.parametrize(
     ("entry", "key", "words"),
     [
-        ("to: plc, on_stale: stop", "", "is not for to: plc"),
-        ("to: ros, stale_after: 1s, on_stale: zero", "", "is not for to: ros"),
+        ("to: plc, on_stale: stop", "", "cannot be used with to: plc"),
+        ("to: ros, stale_after: 1s, on_stale: zero", "", "cannot be used with to: ros"),
         ("to: plc, on_stale: zeros", "", "did you mean 'zero'"),
         ("to: plc, on_stale: 5", "", "5 is not valid"),
         ("to: plc, on_stale: {value: {linear: {x: fast}}}", ".value.linear.x", "'fast' (str) is no float64"),
         ("to: plc, on_stale: {value: {linear: {speed: 1}}}", ".value.linear", "no field 'speed'"),
-        ("to: plc, on_stale: {value: {}, period: 1s}", ".period", "there is no period"),
+        ("to: plc, on_stale: {value: {}, period: 1s}", ".period", "has no period"),
         ("to: plc, on_stale: {valeu: {}, value: {}}", ".valeu", "not a key here; did you mean 'value'"),
         ("to: plc, stale_after: never, on_stale: zero", "", "stale_after is never"),
-        ("to: plc, on_change: true, on_stale: zero", "", "on_change holds equal messages back"),
-        ("to: plc, rate_limit: 1s, on_stale: zero", "", "rate_limit leaves more time"),
+        ("to: plc, on_change: true, on_stale: zero", "", "on_change drops equal messages"),
+        ("to: plc, rate_limit: 1s, on_stale: zero", "", "rate_limit allows more time"),
         (
             "to: ros, stale_after: 1s, rate_limit: 1s, on_stale: {value: {}, period: 1s}",
             "",
-            "rate_limit leaves more time",
+            "rate_limit allows more time",
         ),
         ("to: ros, on_stale: {value: {}, period: 1s}", "", "the default of to: ros"),
         ("to: ros, stale_after: 1s, on_stale: {value: {}}", "", "'period' is missing"),
@@ -69,7 +69,7 @@ def test_values_become_records() -> None:
         (
             "to: ros, classic: true, stale_after: 1s, on_stale: {value: {}, period: 1s}",
             "",
-            "does not tell a silent PLC",
+            "a silent PLC looks like one",
         ),
     ],
 )
