@@ -319,7 +319,7 @@ def test_peers_that_do_not_fit(
         text.write(struct.pack("<BBHI", 0, 1, 0, len(words) + 1) + words.encode() + b"\0")
     problems = {
         "/part": "as my_msgs/msg/Part with another definition",
-        "/type": "publishes /type as std_msgs/msg/Float32, here it is std_msgs/msg/Int32",
+        "/type": "publishes /type as std_msgs/msg/Float32, but here it is std_msgs/msg/Int32",
         "/qos": "the publisher is best_effort, the subscriber wants reliable",
     }
     for topic, words in problems.items():

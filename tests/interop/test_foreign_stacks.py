@@ -179,7 +179,7 @@ def test_other_type_of_a_peer(graph: Graph, peer: StartPeer, caplog: pytest.LogC
     subscription = graph.node("cell").subscribe("/data", STRING, Qos(), lambda *_: None)
     peer("pub", "Twist", "rt/data", count=0)
     wait_for(lambda: subscription.status().code == "ROS003")
-    expected = f"publishes /data as geometry_msgs/msg/Twist, here it is {STRING}"
+    expected = f"publishes /data as geometry_msgs/msg/Twist, but here it is {STRING}"
     assert subscription.status().reason.endswith(expected)
     with caplog.at_level(logging.WARNING):
         wait_for(lambda: f"{expected} [ROS003]" in caplog.text)

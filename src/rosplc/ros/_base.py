@@ -63,7 +63,7 @@ def domain_number(domain: int | None, environment: Mapping[str, str], most: int 
         return None
     if not text.isascii() or not text.isdigit() or len(text) > 9 or (most is not None and int(text) > most):
         to = "up" if most is None else f"to {most}"
-        raise BackendError("ROS010", f"{source} is {text[:80]!r}; it is a number from 0 {to}", where=source)
+        raise BackendError("ROS010", f"{source} is {text[:80]!r}; use a number from 0 {to}", where=source)
     return int(text)
 
 
@@ -143,7 +143,7 @@ def explain(
     # The peer is called ``name``, or by its node. What the middleware has ``matched`` has settings that fit.
     does = describe(peer, name)
     if peer.type_name != ours.type_name:
-        return "ROS003", f"{does}, here it is {ours.type_name}"
+        return "ROS003", f"{does}, but here it is {ours.type_name}"
     if differs(ours.type_hash, peer.type_hash):
         here, there = map(_short, (ours.type_hash, peer.type_hash))
         return "ROS003", f"{does} with another definition (type hash {there} there, {here} here)"
@@ -239,7 +239,7 @@ class BaseEndpoint:
         except Exception:
             self._failed += 1
             if self._failed == 1:
-                self._node.logger.exception("%s: the receiver of its messages failed", self.topic)
+                self._node.logger.exception("%s: processing a received message failed", self.topic)
 
     def _checked(self, payload: bytes) -> bytes:
         """Return a message padded to whole words; ROS008 if it has no header of plain CDR."""
@@ -286,7 +286,7 @@ class BaseSubscription(BaseEndpoint):
     def _problem(self) -> Problem:
         code, reason = super()._problem()
         if not reason and self._rejected:
-            reason = f"{self._rejected} messages on {self.topic} were none that a ROS 2 node sends"
+            reason = f"{self._rejected} messages on {self.topic} were not valid ROS 2 messages"
         return code, reason
 
 
@@ -443,8 +443,8 @@ class KeepingServer(BaseEndpoint):
 
 
 _call_numbers = itertools.count(1)  # of this process: a client that is opened again repeats none
-NO_SERVER = backend.Reply(None, "not executed", Reason.NO_SERVER, "no server is known that can be called")
-SERVER_GONE = backend.Reply(None, "fate unknown", Reason.SERVER_GONE, "the server has gone")
+NO_SERVER = backend.Reply(None, "not executed", Reason.NO_SERVER, "no server that can be called is known")
+SERVER_GONE = backend.Reply(None, "fate unknown", Reason.SERVER_GONE, "the server is gone")
 
 
 class BaseClient(BaseEndpoint):
@@ -691,5 +691,5 @@ def check_ros(name: str, store: TypeStore, *, ros1: bool = False) -> None:
     """Refuse (ROS001) types of the other ROS."""
     if (store.distro == "noetic") is not ros1:
         its, theirs, to = ("ROS 1", "ROS 2", " to noetic") if ros1 else ("ROS 2", "ROS 1", "")
-        what = f"the {name} backend speaks {its}; {store.distro or 'this type store'} is {theirs}"
+        what = f"the {name} backend is for {its}; {store.distro or 'this type store'} is {theirs}"
         raise BackendError("ROS001", what, remedy=f"Set ros.distro{to}.")

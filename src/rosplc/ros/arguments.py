@@ -69,7 +69,7 @@ class RosArguments:
             elif ":=" in argument and not argument.startswith("-"):
                 _ros1(argument, rules, environment, others)
             else:
-                raise _refuse(argument, "no ROS argument has this name; -- ends the ROS arguments")
+                raise _refuse(argument, "unknown ROS argument; -- ends the ROS arguments")
         return cls(tuple(rules), environment, tuple(others), level)
 
     def for_node(self, name: str) -> Remapping:

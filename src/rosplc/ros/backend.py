@@ -56,13 +56,13 @@ class Qos:
     def __post_init__(self) -> None:
         for name, allowed in _ALLOWED.items():
             if (value := getattr(self, name)) not in allowed:
-                raise BackendError("ROS007", f"{name} is {value!r}; it can be {' or '.join(allowed)}")
+                raise BackendError("ROS007", f"{name} is {value!r}; it must be {' or '.join(allowed)}")
         if not isinstance(self.depth, int) or isinstance(self.depth, bool) or not 1 <= self.depth <= _MOST:
-            raise BackendError("ROS007", f"depth is {self.depth!r}; it is a whole number from 1 up")
+            raise BackendError("ROS007", f"depth is {self.depth!r}; it must be a positive integer")
         for name in ("deadline_ns", "lease_ns", "lifespan_ns"):
             time = getattr(self, name)
             if not isinstance(time, int) or isinstance(time, bool) or not 0 <= time < 2**63 - 1:
-                raise BackendError("ROS007", f"{name} is {time!r}; it is a number of nanoseconds, 0 for none")
+                raise BackendError("ROS007", f"{name} is {time!r}; it must be in nanoseconds, 0 for none")
 
     @property
     def promises(self) -> bool:

@@ -88,7 +88,7 @@ def choose(
             passed_over[name] = f"not installed: {reason}"
             continue
         # In the order of BACKENDS, so that the same machine always says the same.
-        others = passed_over | unfit | dict.fromkeys(wanted[place + 1 :], f"comes after {name}")
+        others = passed_over | unfit | dict.fromkeys(wanted[place + 1 :], f"has lower priority than {name}")
         return Choice(name, why, {other: others[other] for other in BACKENDS if other in others})
     everything = {**passed_over, **unfit}
     tried = "; ".join(f"{name} ({everything[name]})" for name in INSTALL if name in everything)
@@ -98,7 +98,7 @@ def choose(
         where="ros.backend",
         remedy="Install one: "
         + "; ".join(f"for {name}: {INSTALL[name]}" for name in wanted)
-        + ". Or name another in ros.backend.",
+        + ". Or set another backend in ros.backend.",
     )
 
 
@@ -110,22 +110,22 @@ def _candidates(
     secured = variables.get("ROS_SECURITY_ENABLE", "") == "true"  # as rcl compares: nothing else enables it
     if distro == ROS1:
         why = f"{distro} is ROS 1"
-        return ("rospy",), why, dict.fromkeys(("dds", "rclpy", "zenoh"), "speaks ROS 2")
-    unfit = {"rospy": "speaks ROS 1"}
+        return ("rospy",), why, dict.fromkeys(("dds", "rclpy", "zenoh"), "is for ROS 2")
+    unfit = {"rospy": "is for ROS 1"}
     if secured:
         why = "ROS_SECURITY_ENABLE is true"
-        return ("rclpy",), why, unfit | dict.fromkeys(("dds", "zenoh"), "takes no part in ROS 2's security")
+        return ("rclpy",), why, unfit | dict.fromkeys(("dds", "zenoh"), "does not support ROS 2 security")
     if zenoh_settings:
         why = "the configuration has settings for it in ros.zenoh"
         return ("zenoh",), why, unfit | dict.fromkeys(("dds", "rclpy"), "does not read ros.zenoh")
     if rmw == "rmw_zenoh_cpp":
-        return ("zenoh", "rclpy"), f"RMW_IMPLEMENTATION is {rmw}", unfit | {"dds": "speaks no Zenoh"}
-    unfit["zenoh"] = "speaks no DDS, and RMW_IMPLEMENTATION is not rmw_zenoh_cpp"
+        return ("zenoh", "rclpy"), f"RMW_IMPLEMENTATION is {rmw}", unfit | {"dds": "does not support Zenoh"}
+    unfit["zenoh"] = "does not support DDS, and RMW_IMPLEMENTATION is not rmw_zenoh_cpp"
     if rmw not in _PLAIN_DDS:
         why = f"RMW_IMPLEMENTATION is {rmw}"
-        return ("rclpy",), why, unfit | {"dds": f"is not known to understand {rmw}"}
-    why = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "ROS 2 speaks DDS unless RMW_IMPLEMENTATION is set"
+        return ("rclpy",), why, unfit | {"dds": f"may not be compatible with {rmw}"}
+    why = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "ROS 2 uses DDS unless RMW_IMPLEMENTATION is set"
     if services:
-        why += "; rclpy comes first, as over dds only nodes on rmw_cyclonedds exchange calls of services"
+        why += "; rclpy is preferred, as over dds only nodes on rmw_cyclonedds exchange service calls"
         return ("rclpy", "dds"), why, unfit
     return ("dds", "rclpy"), why, unfit

@@ -27,9 +27,9 @@ def _check(kind: str, name: str) -> None:
         raise _refuse(kind, name, f"it has {len(name)} characters; the limit is {LONGEST_NAME}")
     for token in name[1:].split("/"):
         if not token:
-            raise _refuse(kind, name, "it ends with a /, or has two together")
+            raise _refuse(kind, name, "it ends with / or contains //")
         if not _TOKEN.match(token):
-            why = f"{token!r} may have only letters, digits and _, and starts with no digit"
+            why = f"{token!r} may contain only letters, digits and _, and not start with a digit"
             raise _refuse(kind, name, why)
 
 
@@ -49,7 +49,7 @@ def validate_namespace(name: str) -> str:
 def validate_node_name(name: str) -> str:
     """Return a node's base name, such as ``rosplc_cell1``, unchanged; ROS005 if it breaks a rule."""
     if not isinstance(name, str) or not _TOKEN.match(name):
-        raise _refuse("node", name, "it may have only letters, digits and _, and starts with no digit")
+        raise _refuse("node", name, "it may contain only letters, digits and _, and not start with a digit")
     if len(name) > 255:
         raise _refuse("node", name, "the limit is 255 characters")
     return name

@@ -77,9 +77,9 @@ class Parameter:
         if self.read_only:
             return f"{self.name} is read-only"
         if kind != self.kind:
-            return f"{self.name} is of type {self.kind}, and cannot become {kind}"
+            return f"{self.name} is of type {self.kind} and cannot change to {kind}"
         if kind.endswith("_array") and len(value) > self.most:
-            return f"{self.name} has room for {self.most} elements; these are {len(value)}"
+            return f"{self.name} has room for {self.most} elements, not for {len(value)}"
         texts = [value] if kind == "string" else value if kind == "string_array" else []
         if any(len(text.encode(errors="surrogateescape")) > self.longest for text in texts):
             return f"{self.name} has room for {self.longest} bytes of text"
@@ -96,11 +96,11 @@ class Parameter:
         assert self.range is not None
         least, greatest, step = self.range
         if not least <= value <= greatest:
-            return f"{self.name} has to be within {least} … {greatest}"
+            return f"{self.name} must be within {least} … {greatest}"
         if step and value != greatest:
             rest = math.remainder(value - least, step) if self.kind == "double" else (value - least) % step
             if abs(rest) > (step * _MOST_DIGITS if self.kind == "double" else 0):
-                return f"{self.name} has to be {least} and a multiple of {step} more"
+                return f"{self.name} must be {least} plus a multiple of {step}"
         return ""
 
 
@@ -108,12 +108,12 @@ def converted(kind: str, value: Any) -> Any:
     """Return a value of YAML as one of a kind of parameters; ValueError with words if it is none."""
     if kind.endswith("_array"):
         if not isinstance(value, list):
-            raise ValueError(f"{value!r} is no {kind}")
+            raise ValueError(f"{value!r} is not of type {kind}")
         found = [converted(kind.removesuffix("_array"), each) for each in value]
         return bytes(found) if kind == "byte_array" else found
     types, least, greatest = _VALUES.get(kind, ((str,), "", value))
     if type(value) not in types or not least <= value <= greatest:
-        raise ValueError(f"{value!r} is no {kind}")
+        raise ValueError(f"{value!r} is not of type {kind}")
     return float(value) if kind == "double" else value
 
 

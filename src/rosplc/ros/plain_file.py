@@ -6,7 +6,7 @@ import stat
 from pathlib import Path
 
 CHECK_PATH = "Check the path."
-GIVE_FILE = "Give the file or folder of a recording; save what comes through a pipe in a file first."
+GIVE_FILE = "Name the file or folder of a recording; save piped data to a file first."
 _OPENED = (".bag", ".db3", ".mcap", ".yaml", ".zstd")
 
 

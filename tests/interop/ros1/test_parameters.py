@@ -103,10 +103,10 @@ def test_values_and_refusals(cell: Cell) -> None:
     cell.until_values(INITIAL | NEW)
 
     for name, value, why in (
-        ("max_speed", 9.0, "max_speed has to be within 0.0 … 2.0"),
-        ("count", "many", "'many' is no integer"),
+        ("max_speed", 9.0, "max_speed must be within 0.0 … 2.0"),
+        ("count", "many", "'many' is not of type integer"),
         ("serial", "B", "it is read-only"),
-        ("arm/gains", "[1, 2, 3, 4]", "arm.gains has room for 3 elements; these are 4"),
+        ("arm/gains", "[1, 2, 3, 4]", "arm.gains has room for 3 elements, not for 4"),
     ):
         cell.set(name, value)
         cell.until_values(INITIAL | NEW)

@@ -172,8 +172,8 @@ def test_peers_of_another_type_are_named(ros1: Graph, node: OpenNode, kind: str)
     up = cell.subscribe("/up", STRING, DEEP, inbox)
     down = cell.advertise("/down", STRING, DEEP)
     wait_for(lambda: (up.status().code, down.status().code) == ("ROS003", "ROS003"))
-    assert up.status().reason == f"node /odd publishes /up as std_msgs/msg/Int32, here it is {STRING}"
-    words = f"node /odd subscribes to /down as std_msgs/msg/Int32, here it is {STRING}"
+    assert up.status().reason == f"node /odd publishes /up as std_msgs/msg/Int32, but here it is {STRING}"
+    words = f"node /odd subscribes to /down as std_msgs/msg/Int32, but here it is {STRING}"
     assert down.status().reason == words
     said.write(bytes(4))
     assert down.write(string("x"))

@@ -137,7 +137,7 @@ def test_what_rclpy_does_with_parameters(client: Client, tmp_path: Path) -> None
 
     client.joint.until(lambda: client.joint.get("block", "xValid"), "the PLC")
     assert client.set("set_parameters", count=7, serial="B", max_speed=9.0) == [
-        (True, ""), (False, "serial is read-only"), (False, "max_speed has to be within 0.0 … 2.0"),
+        (True, ""), (False, "serial is read-only"), (False, "max_speed must be within 0.0 … 2.0"),
     ]  # fmt: skip
     assert (held(client, "count"), held(client, "max_speed")) == (7, 0.5)
     assert not client.set("set_parameters_atomically", count=8, nothing=1)[0][0]

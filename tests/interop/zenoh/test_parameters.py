@@ -88,7 +88,7 @@ def test_the_sdk_gets_and_sets(sdk: Sdk) -> None:
     assert held == [-4, 3.0]
     assert sdk.values() == first | {"count": -4} | arm
     assert sdk.set(max_speed=9.0) == {
-        "successful": False, "reason": "max_speed has to be within 0.0 … 2.0"
+        "successful": False, "reason": "max_speed must be within 0.0 … 2.0"
     }  # fmt: skip
     sdk.joint.scan = lambda *_, **__: None  # type: ignore[method-assign]
     sdk.joint.until(

@@ -64,7 +64,7 @@ def test_a_later_wish_refines_an_earlier_one() -> None:
         ("/zzz", "give /zzz=PACKAGE/TYPE to carry it"),
         ("/nothing/*", "no topic found matches"),
         ("/odd", "several types"),
-        ("/bad-name", "may have only letters"),
+        ("/bad-name", "may contain only letters"),
     ],
 )
 def test_a_wish_that_cannot_be_met_is_an_error(wish: str, words: str) -> None:

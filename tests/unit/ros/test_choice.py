@@ -26,18 +26,18 @@ EVERYTHING = only(*INSTALL)
 @pytest.mark.parametrize(
     ("distro", "environment", "installed", "name", "why"),
     [
-        ("jazzy", {}, EVERYTHING, "dds", "ROS 2 speaks DDS"),
+        ("jazzy", {}, EVERYTHING, "dds", "ROS 2 uses DDS"),
         ("humble", {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, EVERYTHING, "dds", "rmw_fastrtps_cpp"),
         ("jazzy", {"RMW_IMPLEMENTATION": "rmw_fastrtps_dynamic_cpp"}, EVERYTHING, "dds", "dynamic"),
         ("kilted", {"RMW_IMPLEMENTATION": " rmw_cyclonedds_cpp "}, EVERYTHING, "dds", "rmw_cyclonedds_cpp"),
         ("jazzy", {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, only("rclpy"), "rclpy", "rmw_cyclonedds_cpp"),
         ("jazzy", {"RMW_IMPLEMENTATION": ""}, EVERYTHING, "dds", "unless RMW_IMPLEMENTATION is set"),
-        ("jazzy", {}, only("rclpy", "zenoh", "rospy"), "rclpy", "ROS 2 speaks DDS"),
-        ("jazzy", {}, only("dds", "rospy"), "dds", "ROS 2 speaks DDS"),
+        ("jazzy", {}, only("rclpy", "zenoh", "rospy"), "rclpy", "ROS 2 uses DDS"),
+        ("jazzy", {}, only("dds", "rospy"), "dds", "ROS 2 uses DDS"),
         ("jazzy", SECURE, EVERYTHING, "rclpy", "ROS_SECURITY_ENABLE is true"),
         ("jazzy", SECURE | ZENOH, EVERYTHING, "rclpy", "ROS_SECURITY_ENABLE is true"),
-        ("jazzy", {"ROS_SECURITY_ENABLE": "false"}, EVERYTHING, "dds", "ROS 2 speaks DDS"),
-        ("jazzy", {"ROS_SECURITY_ENABLE": "True"}, EVERYTHING, "dds", "ROS 2 speaks DDS"),  # as in rcl
+        ("jazzy", {"ROS_SECURITY_ENABLE": "false"}, EVERYTHING, "dds", "ROS 2 uses DDS"),
+        ("jazzy", {"ROS_SECURITY_ENABLE": "True"}, EVERYTHING, "dds", "ROS 2 uses DDS"),  # as in rcl
         ("jazzy", ZENOH, EVERYTHING, "zenoh", "RMW_IMPLEMENTATION is rmw_zenoh_cpp"),
         ("jazzy", ZENOH, only("dds", "rclpy"), "rclpy", "RMW_IMPLEMENTATION is rmw_zenoh_cpp"),
         ("jazzy", CONNEXT, EVERYTHING, "rclpy", "RMW_IMPLEMENTATION is rmw_connextdds"),
@@ -69,10 +69,10 @@ def test_services_prefer_rclpy() -> None:
 def test_choice_says_what_was_passed_over_and_why() -> None:
     """The sentence names the backend, the reason, and each backend that was not taken."""
     words = str(choose("jazzy", {}, missing=only("rclpy")))
-    assert words.startswith("rclpy, because ROS 2 speaks DDS unless RMW_IMPLEMENTATION is set")
+    assert words.startswith("rclpy, because ROS 2 uses DDS unless RMW_IMPLEMENTATION is set")
     assert "dds: not installed: No module named 'dds'" in words
-    assert "zenoh: speaks no DDS" in words
-    assert "rospy: speaks ROS 1" in words
+    assert "zenoh: does not support DDS" in words
+    assert "rospy: is for ROS 1" in words
 
 
 def test_settings_for_zenoh_ask_for_it() -> None:
@@ -117,7 +117,7 @@ def test_this_machine_is_asked() -> None:
     else:
         assert choose("noetic", {}).name == "rospy"
     if not why_not_installed("dds"):
-        assert choose("jazzy", {}).passed_over["rospy"] == "speaks ROS 1"
+        assert choose("jazzy", {}).passed_over["rospy"] == "is for ROS 1"
 
 
 def test_memory_is_never_chosen() -> None:

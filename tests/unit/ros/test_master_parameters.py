@@ -156,13 +156,13 @@ def test_what_is_set(cell: Cell, path: str, value: Any, taken: dict[str, Any]) -
 @pytest.mark.parametrize(
     ("path", "value", "why"),
     [
-        ("count", 2.0**41, "count has to be within"),
-        ("count", 1.5, "1.5 is no integer"),
-        ("speed", True, "True is no double"),
+        ("count", 2.0**41, "count must be within"),
+        ("count", 1.5, "1.5 is not of type integer"),
+        ("speed", True, "True is not of type double"),
         ("arm", 5, ""),
-        ("arm/raw", [256], "256 is no byte"),
+        ("arm/raw", [256], "256 is not of type byte"),
         ("arm/fixed", False, "read-only"),
-        ("label", {"a": 1}, "{'a': 1} is no string"),
+        ("label", {"a": 1}, "{'a': 1} is not of type string"),
         ("arm/raw", NESTED, "recursion"),
     ],
 )

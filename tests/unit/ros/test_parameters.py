@@ -103,14 +103,14 @@ def test_names_are_listed_as_rclpy_lists_them(node: Node) -> None:
     [
         (wish("nothing", "bool", True), "nothing is not declared"),
         (wish("fixed", "integer", 2), "fixed is read-only"),
-        (wish("speed", "integer", 1), "speed is of type double, and cannot become integer"),
-        (wish("speed", "double", 2.01), "speed has to be within 0.0 … 2.0"),
-        (wish("speed", "double", float("nan")), "speed has to be within 0.0 … 2.0"),
-        (wish("speed", "double", 0.3), "speed has to be 0.0 and a multiple of 0.25 more"),
-        (wish("count", "integer", 5), "count has to be 1 and a multiple of 3 more"),
+        (wish("speed", "integer", 1), "speed is of type double and cannot change to integer"),
+        (wish("speed", "double", 2.01), "speed must be within 0.0 … 2.0"),
+        (wish("speed", "double", float("nan")), "speed must be within 0.0 … 2.0"),
+        (wish("speed", "double", 0.3), "speed must be 0.0 plus a multiple of 0.25"),
+        (wish("count", "integer", 5), "count must be 1 plus a multiple of 3"),
         (wish("kinds.string", "string", "grüün"), "kinds.string has room for 5 bytes of text"),
-        (wish("kinds.bool_array", "bool_array", [True] * 3), "room for 2 elements; these are 3"),
-        ({"name": "speed", "value": {}}, "speed is of type double, and cannot become not set"),
+        (wish("kinds.bool_array", "bool_array", [True] * 3), "room for 2 elements, not for 3"),
+        ({"name": "speed", "value": {}}, "speed is of type double and cannot change to not set"),
     ],
 )
 def test_refusals_have_words(node: Node, asked: dict[str, Any], words: str) -> None:

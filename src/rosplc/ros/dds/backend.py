@@ -71,14 +71,14 @@ def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
 def _discovery_range(environment: Mapping[str, str]) -> str:
     local = environment.get("ROS_LOCALHOST_ONLY") or "0"
     if local not in ("0", "1"):
-        what = f"ROS_LOCALHOST_ONLY is {local!r}; it is 0 or 1"
+        what = f"ROS_LOCALHOST_ONLY is {local!r}; it must be 0 or 1"
         raise BackendError("ROS010", what, where="ROS_LOCALHOST_ONLY")
     if local == "1":  # older, but where it is set it wins (rcl, discovery_options.c)
         return "LOCALHOST"
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
     value = environment.get(name) or "SUBNET"
     if value not in _RANGES:
-        raise BackendError("ROS010", f"{name} is {value!r}; it is one of {', '.join(_RANGES)}", where=name)
+        raise BackendError("ROS010", f"{name} is {value!r}; use one of {', '.join(_RANGES)}", where=name)
     return value
 
 
@@ -149,7 +149,7 @@ def check_peers(environment: Mapping[str, str], distro: str) -> None:
             if not port or port.isdigit():
                 socket.getaddrinfo(host, None, socket.AF_INET)
                 continue
-            why = "it is HOST or HOST:PORT"
+            why = "it must be HOST or HOST:PORT"
         except (OSError, UnicodeError) as error:
             why = getattr(error, "strerror", None) or str(error)
         what = f"ROS_STATIC_PEERS has {peer!r}: {why}"
@@ -240,7 +240,7 @@ _TICK_NS = 500_000_000  # how often the receive thread looks at what has no even
 _SHORT_NS = 10_000_000  # the same while a response waits for its reader
 _DECOYS = "rosplc_nothing"  # the partition of the writers that nothing matches (service.py)
 _PARTICIPANTS, _ANNOUNCEMENTS, _FIRST = 2, 3, 4  # keys in the waitset; 0 and 1 are endpoints of peers
-_FOREIGN = "over another DDS than Cyclone's, which exchanges no calls with this one"
+_FOREIGN = "over another DDS than Cyclone's, whose service calls are incompatible"
 
 
 def dds_qos(qos: Qos, type_hash: str, service_id: str = "") -> DdsQos:
@@ -465,7 +465,7 @@ class DdsBackend(BaseNode):
                     library_log.drain()
                     self._tick(now)
             except Exception:  # a defect; but the other topics have to go on
-                self.logger.exception("the receive thread of %s had an error", self.node)
+                self.logger.exception("error in the receive thread of %s", self.node)
                 self.clock.sleep(100_000_000)
 
     def _look(self, which: int) -> None:

@@ -42,7 +42,7 @@ def obstacle() -> str:
     """Return why batches are not used in this process; empty if they are. The first call tries them out."""
     found, why = version("cyclonedds"), ""
     if found != RELEASE:
-        why = f"batches in C are made for cyclonedds {RELEASE}, and this is {found}"
+        why = f"batches in C require cyclonedds {RELEASE}; this is {found}"
     if not why:
         try:
             _batch.load(native.library._name)
@@ -50,9 +50,9 @@ def obstacle() -> str:
         except (OSError, DDSException, BackendError) as error:
             why = f"the trial of batches in C failed: {error}"
     if not why:
-        _logger.info("messages pass in batches in C, tried with cyclonedds %s", found)
+        _logger.info("messages are passed in batches in C, tested with cyclonedds %s", found)
         return ""
-    why = f"messages pass one by one, which takes more CPU: {why}"
+    why = f"messages are passed one by one, which takes more CPU: {why}"
     _logger.warning("%s", why)
     return why
 

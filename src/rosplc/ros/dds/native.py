@@ -101,7 +101,7 @@ def delete(entity: Any) -> None:
 def instance_handle(ref: int) -> int:
     """Return the handle by which this process lists one of its own endpoints."""
     handle = ct.c_uint64()
-    _checked(_instance_handle(ref, ct.byref(handle)), "cannot look at an endpoint")
+    _checked(_instance_handle(ref, ct.byref(handle)), "cannot inspect an endpoint")
     return int(handle.value)
 
 

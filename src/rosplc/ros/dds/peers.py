@@ -360,7 +360,7 @@ class Announcer:
         nodes = () if leaving else (NodeEntities(*self._node, readers, writers),)
         code = ddspy_write(self._writer._ref, encode_announcement(self._types, self._guid, nodes))
         if code < 0:
-            _logger.warning("the node could not be announced: %s", native.refusal("write", code))
+            _logger.warning("cannot announce the node: %s", native.refusal("write", code))
 
     def take(self) -> None:
         """Read the other participants' announcements."""
@@ -373,7 +373,7 @@ class Announcer:
             try:
                 guid, nodes = decode_announcement(self._types, data)
             except BackendError as error:
-                _logger.warning("an announcement on %s cannot be read: %s", ANNOUNCEMENT_TOPIC, error)
+                _logger.warning("cannot read an announcement on %s: %s", ANNOUNCEMENT_TOPIC, error)
                 continue
             if guid == self._guid:
                 continue

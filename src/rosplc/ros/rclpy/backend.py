@@ -34,11 +34,11 @@ def read_options(options: Mapping[str, object]) -> tuple[list[str], bool]:
     """
     for key in options:
         if key not in ("ros_args", "parameter_services"):
-            what = f"ros.rclpy has no key {key!r}; there are: ros_args, parameter_services"
+            what = f"ros.rclpy has no key {key!r}; its keys are ros_args and parameter_services"
             raise BackendError("ROS013", what)
     arguments = options.get("ros_args", ())
     if not isinstance(arguments, list | tuple) or not all(isinstance(one, str) for one in arguments):
-        raise BackendError("ROS013", f"ros.rclpy.ros_args is {arguments!r}; it is a list of strings")
+        raise BackendError("ROS013", f"ros.rclpy.ros_args is {arguments!r}; it must be a list of strings")
     return [one for one in arguments if one != "--ros-args"], bool(options.get("parameter_services", True))
 
 
@@ -131,7 +131,7 @@ class OwnNode:
         try:
             self._waiting.spin_once()
         except InvalidHandle:  # an entity was destroyed while the executor looked at it
-            _logger.debug("the executor met a destroyed entity", exc_info=True)
+            _logger.debug("the executor found a destroyed entity", exc_info=True)
         except ExternalShutdownException:
             pass
         except Exception:  # a defect; but the other topics have to go on
@@ -155,7 +155,7 @@ class OwnNode:
             try:
                 step()
             except Exception:  # the rest must still be given back
-                _logger.debug("leaving the graph: %s failed", step, exc_info=True)
+                _logger.debug("cannot leave the graph: %s failed", step, exc_info=True)
 
 
 def _nothing() -> None:
@@ -247,7 +247,7 @@ class RclpyBackend(BaseNode):
             if endpoint.entity is entity:
                 endpoint.reject(error)
                 return
-        self.logger.warning("a message could not be taken: %s", error)
+        self.logger.warning("cannot take a message: %s", error)
 
     def forget(self, endpoint: RclpyEndpoint) -> None:
         """Take in that an endpoint is being closed."""
@@ -363,7 +363,7 @@ class RclpyBackend(BaseNode):
                 if peer.node != self.node
             ]
         except RuntimeError as error:  # InvalidHandle too: closed at this moment
-            self.logger.debug("the graph could not be read: %s", error)
+            self.logger.debug("cannot read the graph: %s", error)
             return GraphInfo()
         nodes = {join(namespace, name) for name, namespace in names} - {self.node}
         return _base.graph_info(nodes, found, calls)

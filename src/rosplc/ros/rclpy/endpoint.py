@@ -407,7 +407,7 @@ def message_class(type_name: str) -> Any:
     except AttributeError:
         found = None
     if not hasattr(found, "get_fields_and_field_types") and not hasattr(found, "Request"):
-        what = f"the package {package} that Python finds is not one of ROS 2 ({module.__file__})"
+        what = f"the package {package} that Python finds is not a ROS 2 package ({module.__file__})"
         remedy = "Keep ROS 1's packages out of PYTHONPATH, and source the setup.bash of ROS 2 last."
         raise BackendError("ROS011", what, remedy=remedy)
     return found
@@ -455,7 +455,7 @@ class MessageClasses:
         theirs = list(message_class(message.name).get_fields_and_field_types().items())
         ours = [(field.name, field_text(field.type)) for field in message.fields]
         if ours != theirs:
-            what = f"{message.name} is installed with another definition than the bridge has"
+            what = f"{message.name} has a different definition in the installed package"
             difference = _first_difference(ours, theirs)
             raise BackendError("ROS012", f"{what} ({self._store.distro}): {difference}")
         for name in message.needs:

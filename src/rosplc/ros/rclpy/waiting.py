@@ -53,7 +53,7 @@ class Waiting:
                 self._rest = True
                 # Not when an entity has just been destroyed, or all of them.
                 if not isinstance(error, InvalidHandle) and self._executor.context.ok():
-                    _logger.warning("rclpy's executor receives alone, which takes more CPU: %s", error)
+                    _logger.warning("rclpy's executor receives all messages, which takes more CPU: %s", error)
                     self._alone = True
                     self.release()
                     vars(self._executor).pop("can_execute", None)

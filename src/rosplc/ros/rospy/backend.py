@@ -80,7 +80,7 @@ class Registration:
             try:
                 self._turn()
             except Exception:  # a defect; but the node has to stay registered
-                _logger.exception("looking after node %s had an error", self._node.node)
+                _logger.exception("checking node %s failed", self._node.node)
                 self._clock.sleep(500_000_000)
 
     def _turn(self) -> None:
@@ -121,7 +121,7 @@ class Registration:
             _logger.info("the ROS master at %s answers; node %s registers", uri, node)
             self.trouble = ""
         elif lacks:
-            what = f"the ROS master at {uri} had forgotten {len(lacks)} topics or services of node {node}"
+            what = f"the ROS master at {uri} had lost {len(lacks)} topics or services of node {node}"
             _logger.warning("%s (it was restarted, or they were removed); they are registered again", what)
         for key, topic in wanted.items():
             if isinstance(topic, Outgoing):
@@ -206,8 +206,8 @@ class RospyBackend(BaseNode):
                 endpoint = kind(*receiver, self, *self._resolve(topic, type_name), qos)
                 key = ("serve", endpoint.topic)
                 if kind is RospyServer and self._topics.setdefault(key, endpoint) is not endpoint:
-                    what = f"{self.node} serves {endpoint.topic} already"
-                    raise BackendError("ROS002", what, remedy="A service of ROS 1 has one server.")
+                    what = f"{self.node} already serves {endpoint.topic}"
+                    raise BackendError("ROS002", what, remedy="In ROS 1, a service has only one server.")
             else:
                 shared = self._shared(Incoming if kind is RospySubscription else Outgoing, topic, type_name)
                 endpoint = kind(*receiver, shared, qos)
@@ -223,8 +223,8 @@ class RospyBackend(BaseNode):
             definition = Definition(name, self._store.md5(name), self._store.definition_text(name))
             known = self._topics[kind.direction, full] = kind(self, full, definition)
         elif known.definition.type_name != name:
-            what = f"{self.node} has {full} as {known.definition.type_name} already; {name} is another type"
-            raise BackendError("ROS002", what, remedy="A node of ROS 1 has one type for each topic.")
+            what = f"{self.node} already has {full} as {known.definition.type_name}, not {name}"
+            raise BackendError("ROS002", what, remedy="In ROS 1, a node has only one type for each topic.")
         return known
 
     def service_md5(self, type_name: str) -> str:
@@ -313,7 +313,7 @@ class RospyBackend(BaseNode):
     def _end(self, why: str) -> None:
         if not self._closed and not self.ended:
             self.ended = why
-            self.logger.error("%s; this one carries nothing any more [ROS015]", why)
+            self.logger.error("%s; this node no longer carries messages [ROS015]", why)
             threading.Thread(target=self._disconnect, name="rosplc-leave", daemon=True).start()
 
     def _disconnect(self) -> None:

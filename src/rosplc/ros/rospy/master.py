@@ -46,9 +46,9 @@ def read_address(environment: Mapping[str, str]) -> Address:
     """Read ``ROS_MASTER_URI``, ``ROS_HOSTNAME`` and ``ROS_IP``; ROS010 if one of them is not valid."""
     master = environment.get("ROS_MASTER_URI") or DEFAULT_MASTER
     if not is_node_uri(master):
-        raise _wrong("ROS_MASTER_URI", master, f"something like {DEFAULT_MASTER}")
+        raise _wrong("ROS_MASTER_URI", master, f"an address such as {DEFAULT_MASTER}")
     if environment.get("ROS_IPV6") == "on":
-        raise _wrong("ROS_IPV6", "on", "off or unset: this backend speaks IPv4")
+        raise _wrong("ROS_IPV6", "on", "off or unset: this backend uses IPv4")
     host = _host(environment)
     local = host == "localhost" or host.startswith("127.")
     return Address(master, host, ("127.0.0.1" if host == "localhost" else host) if local else "")
@@ -71,7 +71,7 @@ def _host(environment: Mapping[str, str]) -> str:
 
 
 def _wrong(variable: str, value: str, right: str) -> BackendError:
-    return BackendError("ROS010", f"{variable} is {value!r}; it is {right}", where=variable)
+    return BackendError("ROS010", f"{variable} is {value!r}; it must be {right}", where=variable)
 
 
 MOST_ANSWER = 16 << 20  # Bytes of an answer; the state of a graph of thousands of nodes has less.
@@ -114,7 +114,7 @@ class _Transport(xmlrpc.client.Transport):
             if size > MOST_ANSWER:
                 raise ValueError(f"it has more than {MOST_ANSWER} bytes")
             if self._clock.monotonic_ns() > deadline_ns:
-                raise TimeoutError("it takes too long")
+                raise TimeoutError("it took too long")
             parser.feed(data)
         response.close()  # read1() does not tell the connection that all has been read
         parser.close()
@@ -137,7 +137,7 @@ def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise UnreachableError(why) from error
     except (xmlrpc.client.Error, ExpatError, ValueError, TypeError) as error:
-        raise UnreachableError(f"its answer is not a ROS answer: {error}") from error
+        raise UnreachableError(f"its answer is not valid in ROS: {error}") from error
     if code != 1:
         raise RefusedError(str(text))
     return value
@@ -174,7 +174,7 @@ class Master:
         """Return host and port of a service's server. Raises RefusedError: There is none."""
         uri = self.call("lookupService", service)
         if (place := place_of(uri, "rosrpc")) is None:
-            raise UnreachableError(f"its answer is not a ROS answer: {str(uri)[:200]}")
+            raise UnreachableError(f"its answer is not valid in ROS: {str(uri)[:200]}")
         return place
 
     def node_uri(self, node: str) -> str:
@@ -201,7 +201,7 @@ class Master:
             else:
                 types = {str(topic): str(kind) for topic, kind in self.call("getTopicTypes")}
         except (TypeError, ValueError) as error:
-            raise UnreachableError(f"its answer is not a ROS answer: {error}") from error
+            raise UnreachableError(f"its answer is not valid in ROS: {error}") from error
         return SystemState(publishers, subscribers, services, nodes, types)
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ class _Caller:
         except (OSError, HandshakeError) as error:
             server.log.debug("%s: the connection of a caller ended: %s", server.topic, error)
         except Exception:
-            server.log.exception("%s: the connection of a caller had an error", server.topic)
+            server.log.exception("%s: error in the connection of a caller", server.topic)
         with self._lock:
             self.key = b""
             self.sock.close()
@@ -285,7 +285,7 @@ class RospyClient(_Service, BaseClient):
         link = _Link()
         with self._lock:
             if len(self._links) >= MOST_CALLS:
-                why = f"{MOST_CALLS} calls of {self.topic} are open"
+                why = f"{MOST_CALLS} calls of {self.topic} are already open"
                 return Reply(None, "not executed", Reason.QUEUE_FULL, why)
             self._links[number] = link
         arguments = (number, link, payload)
@@ -315,7 +315,7 @@ class RospyClient(_Service, BaseClient):
                 link.sock = sock
                 if link.stopped:
                     sock.close()
-                    return Reply(text="no caller waits for it any more")
+                    return Reply(text="no caller is waiting for it")
         except Exception as error:  # whatever it is: nothing was sent
             self._look_again()
             return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")

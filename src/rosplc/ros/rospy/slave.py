@@ -139,10 +139,10 @@ class _Listener:
         try:
             self._serve(sock)
         except (HandshakeError, OSError) as error:
-            _logger.debug("a connection came to nothing: %s", error)
+            _logger.debug("a connection failed: %s", error)
             sock.close()
         except Exception:
-            _logger.exception("a connection had an error")
+            _logger.exception("error in a connection")
             sock.close()
         finally:
             self._open.discard(sock)

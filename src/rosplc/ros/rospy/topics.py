@@ -43,7 +43,7 @@ def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
         host, port = answer[1:]
         if isinstance(host, str) and isinstance(port, int) and 0 < port < 65536:
             return host, port
-    raise UnreachableError(f"its answer is not a ROS answer: {str(answer)[:200]}")
+    raise UnreachableError(f"its answer is not valid in ROS: {str(answer)[:200]}")
 
 
 def greet(
@@ -70,7 +70,7 @@ class Connections:
                     if messages:
                         owner.deliver(messages)
                 except Exception as error:
-                    _logger.exception("a connection had an error")
+                    _logger.exception("error in a connection")
                     why = f"it had an error: {error}"
                 if why is not None:
                     owner.end(why)

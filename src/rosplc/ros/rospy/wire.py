@@ -62,7 +62,7 @@ def definition_on_wire(
                 try:
                     sock, header = greet(request(uri, _CALLER, full), _CALLER, full, ANY_TYPE)
                 except (OSError, UnreachableError, RefusedError, HandshakeError) as error:
-                    trouble = f"node {node} publishes {full}, but cannot be asked: {error}"
+                    trouble = f"node {node} publishes {full}, but does not answer: {error}"
                     continue
                 sock.close()
                 return _checked(full, node, header)
@@ -88,8 +88,8 @@ def _checked(topic: str, node: str, header: Mapping[str, str]) -> WireDefinition
     if md5 != header["md5sum"]:
         raise BackendError(
             "ROS017",
-            f"node {node} gives {name} the md5 {header['md5sum'][:64]}, but its definition has {md5}",
-            remedy="The node's messages were built from other files than it sends; build it again.",
+            f"node {node} reports md5 {header['md5sum'][:64]} for {name}, but its definition has {md5}",
+            remedy="The node was built with other definitions than those it sends; rebuild it.",
         )
     return WireDefinition(topic, node, name, md5, text, header.get("latching") == "1", store)
 

@@ -73,18 +73,18 @@ def session_config(options: Mapping[str, object], environment: Mapping[str, str]
     """
     for key in options:
         if key not in OPTIONS:
-            raise _bad(key, f"there is no key {key!r}; there are: {', '.join(OPTIONS)}")
+            raise _bad(key, f"unknown key {key!r}; the keys are: {', '.join(OPTIONS)}")
     config = _base(options, environment)
     if (mode := options.get("mode")) is not None:
         if mode not in _MODES:
-            raise _bad("mode", f"{mode!r} is not a mode; it is {' or '.join(_MODES)}")
+            raise _bad("mode", f"{mode!r} is not a mode; use {' or '.join(_MODES)}")
         _insert(config, "mode", mode)
     for key in ("connect", "listen"):
         if (value := options.get(key)) is not None:
             try:
                 _insert(config, f"{key}/endpoints", _endpoints(key, value))
             except zenoh.ZError as error:
-                raise _bad(key, f"{value!r} has an endpoint that is none: {words(error)}") from error
+                raise _bad(key, f"{value!r} has an invalid endpoint: {words(error)}") from error
     for path, text in _overrides(environment.get(_OVERRIDE, "")):
         try:
             config.insert_json5(path, text)
@@ -153,7 +153,7 @@ def _overrides(text: str) -> Iterator[tuple[str, str]]:
     for part in filter(None, (part.strip() for part in text.split(";"))):
         path, equals, value = part.partition("=")
         if not equals or not path.strip() or not value.strip():
-            raise BackendError("ROS010", f"{_OVERRIDE} has {part!r}; it is key=value", where=_OVERRIDE)
+            raise BackendError("ROS010", f"{_OVERRIDE} has {part!r}; it must be key=value", where=_OVERRIDE)
         yield path.strip(), value.strip()
 
 
@@ -196,7 +196,7 @@ class Link:
             self._thread.start()
             self._clock.wait(self._tried, _PATIENCE_NS)
         elif not self._open() or self._refusal:
-            raise BackendError("ROS002", f"Zenoh does not open a session: {self._refusal}")
+            raise BackendError("ROS002", f"Zenoh cannot open a session: {self._refusal}")
         self.look()
 
     def _keep_trying(self) -> None:
@@ -244,7 +244,7 @@ class Link:
         except zenoh.ZError:
             return ""  # it is being closed
         if self._seen:
-            return f"the Zenoh router at {where} has gone; nodes that start now are not found"
+            return f"the Zenoh router at {where} is gone; nodes that start now are not found"
         return f"no Zenoh router answers at {where}"
 
     def close(self) -> None:
@@ -318,7 +318,7 @@ class ZenohBackend(BaseNode):
             if topic is not None:
                 self._suspects.add(topic)
         except Exception:  # a defect; but the library would print it and continue silently
-            self.logger.exception("a token could not be taken in")
+            self.logger.exception("cannot process a token")
 
     # -- endpoints
 
@@ -365,7 +365,7 @@ class ZenohBackend(BaseNode):
                 if endpoint.topic in due:
                     self._log(endpoint)
         except Exception:  # a defect; but the topics have to go on
-            self.logger.exception("the receive thread of %s had an error", self.node)
+            self.logger.exception("error in the receive thread of %s", self.node)
 
     def _log(self, endpoint: Endpoint) -> None:
         for code, reason in self._problems(endpoint.entity):

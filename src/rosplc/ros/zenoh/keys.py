@@ -180,9 +180,9 @@ def parse_token(token: str) -> Entity:
         names.validate_node_name(node)
         if kind != "NN":
             if kind not in OTHER:
-                raise ValueError("it is of no known kind")
+                raise ValueError("its kind is unknown")
             if len(parts) < _ENDPOINT_PARTS:
-                raise ValueError("it names no topic")
+                raise ValueError("it has no topic")
             topic, type_name, type_hash, qos = parts[_NODE_PARTS:_ENDPOINT_PARTS]
             names.validate_topic(topic)
             if not _TYPE.match(type_name) or not _HASH.match(type_hash):
@@ -213,7 +213,7 @@ class TokenTable:
             with self._lock:
                 self.malformed += 1
                 level = logging.WARNING if self.malformed == 1 else logging.DEBUG
-            text = "a node announces itself with %.300r, which no ROS node would: %s"
+            text = "ignoring the announcement %.300r, which is not from a ROS node: %s"
             logging.getLogger("rosplc.ros.zenoh").log(level, text, token, error)
             return None
         with self._lock:
