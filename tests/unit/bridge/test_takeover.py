@@ -149,7 +149,7 @@ def test_types_that_ros_refuses_change_nothing(cell: Cell, monkeypatch: pytest.M
     cell.stop()
 
     def refuse(_backend: MemoryBackend, type_name: str) -> None:
-        raise BackendError("ROS012", f"{type_name} is installed with another definition")
+        raise BackendError("ROS012", f"{type_name} has a different definition in the installed package")
 
     with monkeypatch.context() as patch:
         patch.setattr(MemoryBackend, "check", refuse, raising=False)

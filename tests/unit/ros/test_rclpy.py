@@ -159,7 +159,7 @@ def test_message_class_of_ros_1_is_told_apart(machine: Machine, monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "std_msgs.msg", module)
     error = refused(lambda: node.advertise("/chatter", STRING, Qos()))
     assert error.code == "ROS011"
-    assert f"not one of ROS 2 ({module.__file__})" in error.what
+    assert f"not a ROS 2 package ({module.__file__})" in error.what
 
 
 @pytest.mark.parametrize(
