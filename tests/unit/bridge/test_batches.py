@@ -46,7 +46,7 @@ def test_what_an_inlet_cannot_have_is_refused() -> None:
         with pytest.raises(ValueError, match="between 0 and"):
             inlet.add(key, reader, capsule)
     for room, timeout_ns in ((0, 0), ((1 << 20) + 1, 0), (1 << 61, 0), (1, -1)):
-        with pytest.raises(ValueError, match="room for 1 to"):
+        with pytest.raises(ValueError, match="room must be 1 to"):
             inlet.wait(0, room, timeout_ns)
 
     def wait(ref: int) -> None:

@@ -635,7 +635,7 @@ def test_the_plc_stops_or_starts_again(make: Make, how: str, again: bool) -> Non
     cell.turn(0.02, 4)
     if how == "accepted":
         assert (cell.ros.states[A], cell.status.aborted) == (GoalStatus.ABORTED, 1)
-        assert "aborted: the PLC's program stopped" in cell.status.reason
+        assert "aborted: the PLC program stopped" in cell.status.reason
     elif how == "begun":
         assert (cell.ros.decisions, cell.status.fate_unknown) == ([(A, REJECTED)], {"plc_down": 1})
     else:
