@@ -272,7 +272,7 @@ def _entry(dice: random.Random) -> str:
 def _refused(cell: Cell, dice: random.Random) -> None:
     """A file that is wrong, or changes what cannot change, is refused; nothing happens."""
     cell.write_config(dice.choice(("tick: 3ms", "tick: nonsense", "nonsense: 1", "topics: [")))
-    cell.hang_up("the new configuration is refused")
+    cell.hang_up("the new configuration was refused")
     cell.write_config()
     cell.hang_up("has reloaded its configuration")
 

@@ -75,7 +75,7 @@ def bind(
         ValueError: ``direction`` is neither of the two.
     """
     if direction not in _DIRECTIONS:
-        raise ValueError(f"direction is {direction!r}; it is 'to_plc' or 'to_ros'")
+        raise ValueError(f"direction is {direction!r}; it must be 'to_plc' or 'to_ros'")
     message_class = None if isinstance(type, str) else type
     type_name = type if isinstance(type, str) else type_name_of(type)
     definition = definition_of(message_class)
@@ -299,7 +299,7 @@ def type_name_of(message_class: type) -> str:
         raise MessageTypeError(
             "TYP001",
             f"{message_class.__name__} is not a message class",
-            remedy="Give the class of rclpy or rospy, or the type's name.",
+            remedy="Pass the class of rclpy or rospy, or the type's name.",
         )
     return f"{package}/msg/{message_class.__name__}"
 

@@ -81,7 +81,7 @@ def bind_service(
             # While a call before it is open, that may be the one that was refused.
             refused = after[0] > before[0] and not before[2]
             code, how = ("SHM140", "not executed") if refused else ("SHM141", "fate unknown")
-            raise ChannelError(code, f"the call ended as {how}", where=service)
+            raise ChannelError(code, f"the call ended: {how}", where=service)
 
         if handler:
             server = program.serve(service, type, SERVICES, on_request)

@@ -302,11 +302,11 @@ class CalledGoals(Asked):
         uuid, now = self._uuid(info.correlation), self._now()
         assert self._endpoint is not None
         if info.client != uuid:
-            self._answer("not executed", Reason.REJECTED, now, "the goal's UUID does not go with its number")
+            self._answer("not executed", Reason.REJECTED, now, "the goal's UUID does not match its number")
         elif self._endpoint.send(uuid, payload):
             self._goals[uuid] = _Goal(uuid, info.correlation)
         else:
-            self._answer("fate unknown", Reason.NONE, now, "a goal of its UUID was sent before")
+            self._answer("fate unknown", Reason.NONE, now, "a goal with this UUID was sent before")
 
     def _more(self, info: SlotInfo, now_ns: int) -> None:
         goal = self._goal
@@ -349,7 +349,7 @@ class CalledGoals(Asked):
                         goal.wait(now_ns)
             except Exception as error:  # as the backend raises; or no more threads
                 goal.wait(now_ns)
-                self.note(now_ns, f"the server could not be asked: {error}")
+                self.note(now_ns, f"the request to the server failed: {error}")
 
     def _hear(self, now_ns: int) -> None:
         for waiting in range(len(self.events), 0, -1):  # what comes meanwhile waits for the next turn
@@ -389,7 +389,7 @@ class CalledGoals(Asked):
             case "lost":
                 if not goal.pause_ns:
                     why = reply.text or WORDS[reply.reason]
-                    self.note(now_ns, f"the server gives no result, and is asked again: {why}")
+                    self.note(now_ns, f"the server returned no result, requesting it again: {why}")
                 goal.lost = True
                 goal.wait(now_ns)
 
@@ -410,7 +410,7 @@ class CalledGoals(Asked):
             return
         record, _, text = self._read(Part.FEEDBACK, payload)
         if text:
-            self.note(now_ns, f"feedback is not passed on: {text}", "SHM142")
+            self.note(now_ns, f"feedback was not passed on: {text}", "SHM142")
             return
         self._send(
             record, Part.FEEDBACK, correlation=goal.number, status=spec.ANSWER_ACCEPTED, client=goal.uuid
@@ -493,7 +493,7 @@ class CalledGoals(Asked):
         uuid, number = left
         goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, lost=True))
         goal.cancel = True
-        self.note(self._now(), "a goal that the PLC does not wait for any more is canceled")
+        self.note(self._now(), "canceling a goal that the PLC no longer waits for")
 
     def _resume(self, number: int, lives: bool, now_ns: int) -> None:
         for goal in tuple(self._goals.values()):

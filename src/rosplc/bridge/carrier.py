@@ -88,13 +88,13 @@ class CallPorts(Grouped[Any]):
                 use.fail(now_ns, error)
                 again.append(use)
             except Exception as error:  # one use's trouble is no other's
-                log.debug("%s: its calls could not be looked after", use.plan.name, exc_info=True)
-                use.note(now_ns, f"calls cannot be looked after: {type(error).__name__}: {error}")
+                log.debug("%s: processing its calls failed", use.plan.name, exc_info=True)
+                use.note(now_ns, f"processing calls failed: {type(error).__name__}: {error}")
                 use.due_ns = now_ns + IDLE_NS
         return min((use.due_ns for use in self._ports.values()), default=None), again
 
 
-_HANGS = "the ROS side does not return from publishing; the bridge leaves it behind"
+_HANGS = "publishing to ROS does not return; the bridge no longer waits for it"
 _PATIENCE_S = 5.0
 
 Carried: TypeAlias = "Stream | Use"  # what a carrier's thread serves
@@ -350,7 +350,7 @@ class Rounds:
         self._wake.set()
         self._thread.join(_PATIENCE_S)
         if self._thread.is_alive():
-            log.error("%s does not end; it is left behind", self._thread.name)
+            log.error("%s does not stop; the bridge no longer waits for it", self._thread.name)
 
     def _run(self) -> None:
         for duty in self._duties:

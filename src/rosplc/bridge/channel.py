@@ -191,7 +191,7 @@ class PortToPlc(ChannelPort[Writer]):
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost, and what helps."""
-        return f"{count} messages were lost on the way in; raise qos: {{depth: …}} if they come in bursts"
+        return f"{count} messages from ROS were lost; raise qos: {{depth: …}} if they come in bursts"
 
 
 class PortToRos(ChannelPort[Reader]):
@@ -259,7 +259,7 @@ class PortToRos(ChannelPort[Reader]):
         """Describe why messages were lost; those of the time without a bridge are told apart, once."""
         missed, self._missed = min(self._missed, count), 0
         slots = self.side.plan.slots
-        lost = f"{count - missed} messages were lost on the way out; raise slots: (now {slots})"
+        lost = f"{count - missed} messages from the PLC were lost; raise slots: (now {slots})"
         if not missed:
             return lost
         down = f"no bridge was running for {self._down_ns / 1e9:.3g} s: {missed} messages were not carried"

@@ -218,12 +218,12 @@ class ClassicPort(Port):
             words = (
                 f"semaphore {self._classic.semaphore} was locked for "
                 f"{format_duration(self._classic.recover_after_ns)} without a sign of life and has been "
-                "freed: its holder died inside, or it was created locked"
+                "freed: its holder died, or it was created locked"
             )
             self.side.note(now_ns, words, "SHM131")
         if self._object.mended > self._mended:
             self._mended = self._object.mended
-            words = f"semaphore {self._classic.semaphore} let in more than one; corrected"
+            words = f"semaphore {self._classic.semaphore} admitted more than one process; corrected"
             self.side.note(now_ns, words, "SHM132")
 
 
@@ -349,7 +349,7 @@ class ClassicToRos(ClassicPort):
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost."""
-        return f"{count} messages were lost: not taken by ROS, or perhaps half written by one that died"
+        return f"{count} messages were lost: not taken by ROS, or perhaps half written by a process that died"
 
     def _turn(self, now_ns: int) -> int:
         if self._tend(now_ns):

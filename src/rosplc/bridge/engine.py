@@ -91,7 +91,7 @@ class Bridge:
         ROS001 …); everything opened is closed again, and nothing was replaced if a name was taken.
         """
         if self._started_ns:
-            raise RuntimeError("this bridge is started already")
+            raise RuntimeError("this bridge has already been started")
         with ExitStack() as stack:
             self._realtime = stack.enter_context(Realtime(self.config))
             self._start(stack)
@@ -221,7 +221,7 @@ class Bridge:
             raise RuntimeError("this bridge is not started")
         path = self.config.path
         if config is None and path is None:
-            raise RuntimeError("this configuration comes from no file")
+            raise RuntimeError("this configuration was not read from a file")
         with self._changing:
             if config is None:
                 self._file_seen, self._config_changed = self._file_state(), False
@@ -234,7 +234,7 @@ class Bridge:
                 self._exchange(project, changes)
             except Exception as error:
                 self._refused = _first_line(error)
-                log.error("the new configuration is refused, the one before goes on")
+                log.error("the new configuration was refused, the previous one stays in use")
                 for problem in str(error).splitlines():  # a record of the log is one line
                     log.error("%s", problem)
                 raise
@@ -285,11 +285,11 @@ class Bridge:
         if self._ended:
             notes.append(self._ended)
         if self._refused:
-            notes.append(f"the new configuration was refused, the one before goes on: {self._refused}")
+            notes.append(f"the new configuration was refused, the previous one is in use: {self._refused}")
         carriers, uses = self._carriers, [use.status(now) for use in self._streams if isinstance(use, Use)]
         busy = (carriers.busy_since_ns if carriers is not None else 0) or now
         if now - busy > _STUCK_NS:
-            notes.append(f"the ROS side has not returned from publishing for {(now - busy) / 1e9:.0f} s")
+            notes.append(f"publishing to ROS has not returned for {(now - busy) / 1e9:.0f} s")
         return BridgeStatus(
             bridge=self.settings.bridge,
             backend=self.backend.name if self.backend is not None else "",
@@ -309,12 +309,12 @@ class Bridge:
         """Return what has hung for ``longest_ns``, several seconds, of what carries and beats; else empty."""
         carriers, heartbeat, now = self._carriers, self._heartbeat, self._clock.monotonic_ns()
         if not self._started_ns or carriers is None or heartbeat is None:
-            return "it is not started"
+            return "the bridge has not been started"
         if now - heartbeat.turned_ns > longest_ns:
-            return f"the thread that beats has been stuck for {(now - heartbeat.turned_ns) / 1e9:.0f} s"
+            return f"the heartbeat thread has been stuck for {(now - heartbeat.turned_ns) / 1e9:.0f} s"
         since = min(carriers.turned_ns, carriers.busy_since_ns or now)
         if now - since > longest_ns:
-            return f"the thread that carries towards ROS has been stuck for {(now - since) / 1e9:.0f} s"
+            return f"the thread that sends to ROS has been stuck for {(now - since) / 1e9:.0f} s"
         return ""
 
     # -- the work of heartbeat and reporter, on their threads

@@ -71,7 +71,7 @@ class ManagedBridge:
     def activate(self) -> None:
         """Begin to carry. Raises RosplcError: A topic cannot be opened; none is then."""
         if self._lifecycle is None:
-            raise RuntimeError("a bridge is configured before it is activated")
+            raise RuntimeError("the bridge must be configured before it is activated")
         self._lifecycle.activate()
         _logger.info("the bridge is active")
 

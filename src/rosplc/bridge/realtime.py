@@ -35,7 +35,7 @@ def contention(config: Config) -> list[str]:
     return [
         f"realtime.priority {wanted.priority} is {reach} of CODESYS' tasks (SCHED_FIFO "
         f"{HIGHEST_TASK_PRIORITY} for IEC priority 0 to {LOWEST_TASK_PRIORITY} for 15): the bridge may "
-        f"delay the PLC's cycle; take less than {LOWEST_TASK_PRIORITY}"
+        f"delay the PLC's cycle; use less than {LOWEST_TASK_PRIORITY}"
     ]
 
 
@@ -134,7 +134,7 @@ class Realtime:
             os.sched_setaffinity(0, processors)
             if os.sched_getaffinity(0) == processors:
                 return
-            what = f"there is no processor {', '.join(map(str, missing))} for this process"
+            what = f"this process may not use processors {', '.join(map(str, missing))}"
         except (OSError, ValueError, OverflowError) as error:
             what = f"processors {missing or sorted(processors)} cannot be used: {error}"
         remedy = f"This process may use: {', '.join(map(str, sorted(here)))}."

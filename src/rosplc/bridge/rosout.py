@@ -69,7 +69,7 @@ class Rosout(logging.Handler):
         try:
             if count := self._left_out:
                 self._left_out = 0
-                self.put(logging.WARNING, f"{plural(count, 'line')} of the log had no room here")
+                self.put(logging.WARNING, f"{plural(count, 'line')} of the log were dropped: no room")
             for _ in range(len(self._lines)):
                 values, stamp_ns = self._lines.popleft()
                 self.publisher.write(fields.pack(self._store, self._type, values), stamp_ns)

@@ -169,7 +169,7 @@ class News:
 
 def _reload(bridge: Bridge) -> None:
     if bridge.config.path is None:
-        log.warning("nothing is reloaded: this configuration comes from no file")
+        log.warning("nothing to reload: this configuration was not read from a file")
         return
     try:
         bridge.reload()

@@ -71,7 +71,7 @@ class Calling(Use):
     def _check_claims(self) -> None:
         """Raise ChannelError (SHM116) if answers are not this bridge's any more."""
         if any(reader.line is None for reader in self._readers.values()):
-            what = f"another bridge has taken the {self.plan.kind} over"
+            what = f"another bridge has taken over the {self.plan.kind}"
             raise ChannelError("SHM116", what, where=self.plan.called)
 
 

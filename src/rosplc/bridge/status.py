@@ -81,19 +81,19 @@ class TopicStatus(PortStatus):
     def _staleness(self, to_plc: bool) -> str:
         source = "ROS publisher" if to_plc else "the PLC"
         if self.age_ns is not None and not self.stale:
-            return f"messages come again from {source}, after silence"
+            return f"messages from {source} have resumed after silence"
         if self.age_ns is not None:
             words = f"last message {format_age(self.age_ns)} ago from {source}"
             if to_plc and not self.matched:
-                words += "; nobody publishes any more"
+                words += "; no publisher is left"
             return words + "; substitutes are published" if self.substituting else words
         if not to_plc:
             return f"no message yet from {source}"
         if not self.matched:
-            return f"no message yet from {source}: nobody publishes"
+            return f"no message yet from {source}: no publisher"
         # Not every middleware tells this side that a peer refuses it for its definition of the type.
         return (
-            f"no message yet from {source}, though one is there: it is silent, or it has another "
+            f"no message yet from {source}, although there is a publisher: it is silent, or it has another "
             "definition of the type and the middleware keeps the two apart (ROS003)"
         )
 
@@ -116,7 +116,7 @@ class TopicStatus(PortStatus):
         if self.peer_alive is False:
             return Level.WARN, "no PLC task reads it" if to_plc else "no PLC task writes it"
         if not self.matched:
-            return Level.OK, "nobody publishes" if to_plc else "nobody subscribes"
+            return Level.OK, "no publisher" if to_plc else "no subscriber"
         return Level.OK, f"{self.rate_hz:.3g} Hz"
 
     def to_dict(self) -> dict[str, Any]:
@@ -204,12 +204,12 @@ class ActionStatus(CallStatus):
     def judgement(self) -> tuple[Level, str]:
         """The level and a sentence for it; an open goal stays as it is while the PLC is silent."""
         if self.server == "plc" and self.goal_status and not (self.problem or self.peer_alive):
-            return Level.WARN, f"the PLC is silent; a goal is {self.goal_status} and stays so"
+            return Level.WARN, f"the PLC is silent; its goal remains {self.goal_status}"
         return super().judgement
 
     @property
     def _summary(self) -> str:
-        goal = f"; one is {self.goal_status}" if self.goal_status else ""
+        goal = f"; current goal: {self.goal_status}" if self.goal_status else ""
         return f"{self.succeeded} of {self.received} goals succeeded, {self.outstanding} outstanding{goal}"
 
 

@@ -398,7 +398,7 @@ class ToRos(Stream):
             # Resumed after a stop: what was taken before is older than what the other bridge has sent.
             count.lost += counted
             if not self.problem:
-                self.fail(now_ns, ChannelError("SHM116", "another bridge has taken the topic over"))
+                self.fail(now_ns, ChannelError("SHM116", "another bridge has taken over the topic"))
             return
         self._give_up_unsent()
         if (failure := self._write(data, stamp_ns)) is None:
@@ -408,7 +408,7 @@ class ToRos(Stream):
                 self._open_sink(self._publisher)
         elif self._unsent is not None and failure[1] == "ROS009":
             self._unsent.keep((data, stamp_ns), now_ns)
-            self.note(now_ns, f"the newest message waits: {failure[0]}", failure[1])
+            self.note(now_ns, f"the newest message is waiting: {failure[0]}", failure[1])
         else:
             count.lost += counted
             self.hold.forget()
@@ -417,7 +417,7 @@ class ToRos(Stream):
     def _write(self, data: bytes, stamp_ns: int) -> tuple[str, str] | None:
         """Publish; return why that failed, as words and an error's code, else None."""
         if self._publisher is None:
-            return "there is no publisher", ""
+            return "the publisher is not open", ""
         try:
             sent = self._publisher.write(data, stamp_ns)
         except RosplcError as error:
@@ -465,7 +465,7 @@ class ToRos(Stream):
             log.warning("%s: the PLC is silent; a substitute is published every %s", topic, every)
         else:
             number = count.substituted - self._substituted_before
-            log.info("%s: the PLC sends again, after %d substitutes", topic, number)
+            log.info("%s: the PLC has resumed sending, after %d substitutes", topic, number)
         self._show(active)
 
     def _show(self, active: bool) -> None:

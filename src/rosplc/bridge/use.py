@@ -224,7 +224,7 @@ class Use(Notes, ABC):
     def connect(self, backend: Backend) -> None:
         """Serve the service or action, or become its client. Raises as the backend does; ROS019."""
         if "services" not in backend.capabilities:
-            what = f"the {backend.name} backend supports no {self.plan.kind}s"
+            what = f"the {backend.name} backend does not support {self.plan.kind}s"
             raise BackendError("ROS019", what, where=self.plan.called, remedy="Choose another ros.backend.")
         self._endpoint = self._connect(backend)
 
@@ -308,8 +308,7 @@ class Use(Notes, ABC):
     def _count(self, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
         self.counts[outcome, reason] += 1
         if outcome in _CODES:
-            words = f"call {'' if outcome == 'unreadable' else 'ended as '}{outcome}"
-            self.note(now_ns, f"{words}: {text or WORDS[reason]}", _CODES[outcome])
+            self.note(now_ns, f"call {outcome}: {text or WORDS[reason]}", _CODES[outcome])
 
     @property
     @abstractmethod

@@ -809,7 +809,7 @@ def test_a_server_that_is_gone_for_a_while(make: Make) -> None:
     cell.until(lambda: not cell.use._ready, "the server's end")
     cell.turn(0.2, 5)
     assert cell.status.outstanding == 1
-    assert "asked again" in cell.status.reason
+    assert "requesting it again" in cell.status.reason
     again = cell.serve()
     again.adopt(uuid, 1, GoalStatus.EXECUTING)
     again.succeed(uuid, sequence(Part.RESULT, 8))

@@ -998,7 +998,7 @@ def test_a_bridge_that_stops_ends_the_call_of_the_plc(make: Make) -> None:
 
 def test_a_backend_without_services(make: Make) -> None:
     cell = make("ros")
-    with pytest.raises(BackendError, match="supports no services"):
+    with pytest.raises(BackendError, match="does not support services"):
         cell.use.connect(Ros(capabilities=frozenset({"topics"})))  # type: ignore[arg-type]
 
 

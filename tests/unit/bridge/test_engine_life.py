@@ -345,7 +345,10 @@ def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
     def judged() -> bool:
         beaten()
         level, words = bridge.status().topic("/in").judgement
-        return level is Level.STALE and "one is there: it is silent, or it has another definition" in words
+        return (
+            level is Level.STALE
+            and "there is a publisher: it is silent, or it has another definition" in words
+        )
 
     wait_for(judged)
     wait_for(
@@ -386,7 +389,7 @@ def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.Monkey
         bridge._streams[0].on_message(wire(INT, {"data": 2}), 0)  # type: ignore[attr-defined]
         assert wait_for(incoming.read) == {"data": 2}
     clock.advance(6)
-    assert "has not returned from publishing" in bridge.status().judgement[1]
+    assert "publishing to ROS has not returned" in bridge.status().judgement[1]
     go_on.set()
 
 
@@ -472,7 +475,7 @@ def test_a_given_backend_is_left_open(cell: Cell) -> None:
     backend = open_backend(STORE, "mine", domain=DOMAIN)
     with Bridge(parse_config(cell.config(BOTH)), backend) as bridge:
         assert {end.topic for end in backend.endpoints()} == {"/in", "/out", "/rosout"}
-        with pytest.raises(RuntimeError, match="started already"):
+        with pytest.raises(RuntimeError, match="already been started"):
             bridge.start()
     assert backend.endpoints() == ()
     assert backend.graph().nodes == ("/peer",)

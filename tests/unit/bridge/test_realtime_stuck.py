@@ -20,7 +20,7 @@ def test_a_bridge_that_goes_round_is_not_stuck(cell: Cell) -> None:
     bridge = cell.start(BOTH)
     assert bridge.stuck(LONG_NS) == ""
     bridge.stop()
-    assert bridge.stuck(LONG_NS) == "it is not started"
+    assert bridge.stuck(LONG_NS) == "the bridge has not been started"
 
 
 def test_a_hanging_ros_side_is_noticed_and_forgotten(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,7 +31,7 @@ def test_a_hanging_ros_side_is_noticed_and_forgotten(cell: Cell, monkeypatch: py
     with monkeypatch.context() as patch:
         patch.setattr(MemoryPublisher, "write", lambda *_: go_on.wait(60) and None)
         outgoing.write({"data": 1})
-        wait_for(lambda: "towards ROS has been stuck" in bridge.stuck(SHORT_NS))
+        wait_for(lambda: "sends to ROS has been stuck" in bridge.stuck(SHORT_NS))
         assert bridge.stuck(LONG_NS) == ""
         go_on.set()
     wait_for(lambda: "towards ROS" not in bridge.stuck(SHORT_NS))
@@ -43,6 +43,6 @@ def test_a_hanging_keeper_is_noticed(cell: Cell, monkeypatch: pytest.MonkeyPatch
     go_on = threading.Event()
     for stream in bridge._streams:
         monkeypatch.setattr(stream, "check", lambda *_: go_on.wait(60) and False)
-    wait_for(lambda: "that beats has been stuck" in bridge.stuck(SHORT_NS))
+    wait_for(lambda: "heartbeat thread has been stuck" in bridge.stuck(SHORT_NS))
     go_on.set()
-    wait_for(lambda: "that beats" not in bridge.stuck(2_000_000_000))
+    wait_for(lambda: "heartbeat thread" not in bridge.stuck(2_000_000_000))

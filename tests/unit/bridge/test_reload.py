@@ -302,13 +302,13 @@ def test_a_removed_topic_is_not_made_again(cell: Cell) -> None:
 
 
 def test_only_a_running_bridge_reloads(cell: Cell) -> None:
-    """Before the start, and for a configuration that comes from no file, there is nothing to reload."""
+    """Before the start, and for a configuration that was not read from a file, there is nothing to reload."""
     bridge = cell.make(BOTH)
     with pytest.raises(RuntimeError, match="not started"):
         bridge.reload()
     cell.bridge = bridge
     bridge.start()
-    with pytest.raises(RuntimeError, match="comes from no file"):
+    with pytest.raises(RuntimeError, match="was not read from a file"):
         bridge.reload()
 
 

@@ -396,7 +396,7 @@ def test_without_a_plc_no_goal_waits(make: Make) -> None:
     plc = cell.attach()
     assert plc.take() is None
     assert cell.status.not_executed == {"plc_down": 1}
-    assert cell.status.judgement[1].startswith("call ended as not executed")
+    assert cell.status.judgement[1].startswith("call not executed")
 
 
 def test_a_goal_that_does_not_fit_is_rejected(make: Make) -> None:
@@ -686,7 +686,7 @@ def test_a_silent_plc_keeps_its_goal(make: Make, asked: bool) -> None:
     assert cell.ros.states == {A: GoalStatus.EXECUTING}
     assert cell.ros.decisions == [(A, ACCEPTED), (B, REJECTED)]
     assert (cell.ros.cancels, cell.status.aborted) == ([], 0)
-    assert cell.status.judgement[1] == "the PLC is silent; a goal is executing and stays so"
+    assert cell.status.judgement[1] == "the PLC is silent; its goal remains executing"
     del plc.__dict__["beat"]
     cell.turn(0.05, 4)
     plc.say(info, ANSWER_SUCCEEDED)

@@ -259,6 +259,6 @@ def test_a_ros_side_that_hangs_stops_no_beat(
     with attach(cell.namespace, "/start", part=Part.REQUEST) as seen:
         before = seen.snapshot().writer.beat
         wait_for(lambda: seen.snapshot().writer.beat > before + 3, "beats")
-    wait_for(lambda: "towards ROS has been stuck" in bridge.stuck(100_000_000))
+    wait_for(lambda: "sends to ROS has been stuck" in bridge.stuck(100_000_000))
     go_on.set()
     wait_for(lambda: not bridge.stuck(100_000_000))
