@@ -237,9 +237,9 @@ def test_the_doctor_names_containers_that_share_nothing(cell: Cell, volume: Path
         assert "codesyscontrol.bin" in apart["seen"] and "its own /dev/shm" in apart["seen"]
         # From the bridge's container, which sees that it is one and no runtime.
         found = findings(inside(cell, ["env", "container=docker", *doctor], volume))
-        assert "no PLC runtime in it" in found["DOC305"]["seen"]
+        assert "without a PLC runtime" in found["DOC305"]["seen"]
         assert "ipc" in found["DOC305"]["remedy"]
-        assert "no PLC task beats" in found["DOC603"]["seen"]
+        assert "no running PLC task uses" in found["DOC603"]["seen"]
     finally:
         runtime.send_signal(signal.SIGKILL)
         runtime.communicate()

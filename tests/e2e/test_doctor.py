@@ -181,7 +181,7 @@ def test_a_bridge_that_stands_still(
     wait_for(lambda: "error" in levels(doctor(path), "DOC601"), "the stop to be noticed")
     # On a busy machine a look at every object that there is may end before it has come to this one.
     (stands,) = wait_for(lambda: of_machine(shm_namespace), "the stopped bridge to be named")
-    assert stands["level"] == "error" and "does not beat" in stands["seen"]
+    assert stands["level"] == "error" and "has no heartbeat" in stands["seen"]
     assert f"bridge cell (prefix {shm_namespace.prefix})" in stands["seen"]
     assert "SIGSTOP" in stands["seen"]
     bridges[-1].send(signal.SIGCONT)
@@ -294,7 +294,7 @@ def test_everything_runs(
             robot.subscribe("/out2", INT, Qos(), lambda *_: None)
             odd = {"DOC512": ["error"], "DOC515": ["warning"], "DOC603": ["warning"]}
             wait_for(lambda: seen.update(doctor(path)) or shown(seen, odd) == odd, str(odd))
-            assert f"node /robot publishes /in as {LONG}, here it is {INT}" in seen["DOC512"][0]["seen"]
+            assert f"node /robot publishes /in as {LONG}, but here it is {INT}" in seen["DOC512"][0]["seen"]
         finally:
             robot.close()
 

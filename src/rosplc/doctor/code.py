@@ -86,7 +86,7 @@ def read_generated(folder: Path) -> Generated:
     base = folder / "st" if (folder / "st").is_dir() else folder
     settings = {name: value for name, _, value in _SETTING.findall(_text(base / "Base/RosPlc_Settings.st"))}
     if {"sPrefix", "xFenced"} - set(settings):
-        raise ValueError(f"{base / 'Base/RosPlc_Settings.st'} names no prefix")
+        raise ValueError(f"{base / 'Base/RosPlc_Settings.st'} does not contain a prefix")
     lists = [base / f"{name}.st" for name in ("ROS_Read", "ROS_Write", "ROS_Services", "ROS_Actions")]
     blocks = [block for path in lists if path.exists() for block in _instances(base / "Blocks", path)]
     programs = [match[1] for path in sorted(base.glob("*.st")) if (match := _PROGRAM.search(_text(path)))]
@@ -116,7 +116,7 @@ def _block(folder: Path, found: Block) -> Block:
         return replace(found, to_plc=ids[1] == "Read", layout_id=layout_id, record_size=int(ids[4]))
     if classic := _CLASSIC.search(text):
         return replace(found, record_size=int(classic[1]))
-    raise ValueError(f"{path} names no layout")
+    raise ValueError(f"{path} does not contain a layout")
 
 
 def _block_file(folder: Path, name: str) -> Path:
@@ -155,7 +155,7 @@ def against_config(
 
     ``differences`` is type → what differs in its declaration.
     """
-    other = f"the code looks for {code.prefix}.t.…, the configuration's prefix is {prefix}"
+    other = f"the code looks for {code.prefix}.t.…, but the configuration's prefix is {prefix}"
     same = code.prefix == prefix
     yield judged("DOC706", "" if same else other, f"the code looks for {prefix}.t.…", command=command)
     blocks = {block.label: block for block in code.blocks}
@@ -197,7 +197,7 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
         count += 1
         identity = seen.identity
         if block.to_plc is not (identity.direction is Direction.TO_PLC):
-            wrong.append(f"{block.label}: the object goes {identity.direction.word} [SHM110]")
+            wrong.append(f"{block.label}: the object's direction is {identity.direction.word} [SHM110]")
         elif identity.layout_id != block.layout_id:
             sizes = f"{block.record_size} and {identity.record_size} bytes"
             what = f"layout {block.layout_id} in the code, {identity.layout_id} in the bridge ({sizes})"
@@ -211,9 +211,9 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
 def fences(code: Generated, machine: str, command: str) -> Iterator[Finding]:
     """Judge whether the code's rule of ordering is right for this machine."""
     wrong = not code.arm and code.fenced and machine in _ARM
-    what = f"the code relies on the memory fence of x86, and this is {machine}" if wrong else ""
+    what = f"the code relies on the memory fence of x86, but this is {machine}" if wrong else ""
     yield judged(
-        "DOC707", what, "the code's rule of ordering fits this machine", command=f"{command} --target arm"
+        "DOC707", what, "the code's memory fences suit this machine", command=f"{command} --target arm"
     )
 
 
@@ -235,7 +235,7 @@ def files(folder: Path, expected: Mapping[str, bytes], command: str) -> tuple[li
             if path.startswith("st/Types/") and (line := _first_difference(actual, content)):
                 head = content.decode("ascii", "replace").splitlines()[0].removeprefix("// ")
                 differences[head.partition(",")[0]] = line
-    what = f"not as generated now: {listed(other)}" if other else ""
+    what = f"differs from newly generated code: {listed(other)}" if other else ""
     return [judged("DOC708", what, "the files are what this release generates", command=command)], differences
 
 

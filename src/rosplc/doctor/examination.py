@@ -145,7 +145,7 @@ class _Examination:
             yield Probe("the configuration", Area.CONFIG, self._read_config, 20.0, vital=True)
         yield Probe("the machine", Area.MACHINE, self._machine)
         yield Probe("installed packages", Area.MACHINE, self._packages)
-        yield Probe("the ways into ROS", Area.MACHINE, self._backend, 30.0)
+        yield Probe("the ROS backends", Area.MACHINE, self._backend, 30.0)
         yield Probe("/dev/shm", Area.MEMORY, self._memory)
         yield Probe("objects in shared memory", Area.MEMORY, self._look_at_objects, 10.0)
         if self._objects is not None:
@@ -154,7 +154,7 @@ class _Examination:
         if self._classic:
             yield Probe("classic memories and locks", Area.MEMORY, self._classic_objects)
         yield Probe("PLC runtimes", Area.PLC, self._plc)
-        yield Probe("rights of the PLC's user", Area.PLC, self._rights)
+        yield Probe("permissions of the PLC user", Area.PLC, self._rights)
         yield Probe("the ROS environment", Area.ROS, self._variables)
         yield Probe("host names of ROS", Area.ROS, self._addresses)
         yield from self._network()
@@ -212,7 +212,7 @@ class _Examination:
         uid, gid = wanted.uid, wanted.gid
         what = remedy = command = ""
         if self._uid != 0 and uid not in (None, self._uid):
-            what = f"shm.owner is {settings.owner}, and {who} may not give files away"
+            what = f"shm.owner is {settings.owner}, and {who} may not give files to it"
             remedy = f"Start the bridge as {settings.owner}, or remove shm.owner."
         elif self._uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
             what = f"shm.group is {settings.group}, and {who} is not in it"

@@ -31,7 +31,7 @@ class Level(enum.IntEnum):
 class Area(enum.Enum):
     """What a finding is about, in the order in which people read them."""
 
-    DOCTOR = "what the doctor could not do"
+    DOCTOR = "failed examinations"
     MACHINE = "machine"
     MEMORY = "shared memory"
     PLC = "PLC runtime"

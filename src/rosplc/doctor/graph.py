@@ -71,7 +71,7 @@ def judge_graph(
         )
         yield judged("DOC516", what, f"{plural(len(others), 'node')} in {graph.where}: {listed(others)}")
     if bridge_runs:
-        what = f"a bridge runs, but {graph.bridge} is not in {graph.where}"
+        what = f"a bridge is running, but {graph.bridge} is not in {graph.where}"
         well = f"the bridge's node {graph.bridge} is in the graph"
         yield judged("DOC517", "" if graph.bridge in info.nodes else what, well)
     for plan in plans:
@@ -88,13 +88,13 @@ def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
     elif call.kind == "action":
         service, type_name = f"{name}/_action/send_goal", f"{type_name}_SendGoal"
     found_there = [end for end in ends if end.topic == service and end.node != graph.bridge]
-    servers = [end.node or "a nameless node" for end in found_there if end.direction == "in"]
+    servers = [end.node or "a node without a name" for end in found_there if end.direction == "in"]
     most = 1 if call.server == "ros" else 0
     several = f"{listed(servers)} serve{'s' * (len(servers) == 1)} {name}" + (
         "" if most else ", as the PLC does"
     )
     yield judged(
-        "DOC520", f"{several} [ROS022]" if len(servers) > most else "", f"{name} has no server too many"
+        "DOC520", f"{several} [ROS022]" if len(servers) > most else "", f"{name} has at most one server"
     )
     if call.server == "ros" and not (quiet and not servers):
         missing = "" if servers else f"no node serves the {call.kind} {name}, which the PLC calls"
@@ -104,7 +104,7 @@ def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
         if end.obstacles:
             yield found("DOC521", f"{does} {'; '.join(end.obstacles)} [ROS021]")
         if _ANY not in (end.type_name, type_name) and end.type_name != type_name:
-            yield found("DOC512", f"{does} as {end.type_name}, here it is {type_name} [ROS003]")
+            yield found("DOC512", f"{does} as {end.type_name}, but here it is {type_name} [ROS003]")
 
 
 def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator[Finding]:
@@ -124,7 +124,7 @@ def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator
     yield from filter(None, problems)
     if not any(each is not None and each.level >= Level.WARNING for each in problems):
         does = "published" if to_plc else "subscribed to"
-        who = listed(end.node or "a nameless node" for end in ends)
+        who = listed(end.node or "a node without a name" for end in ends)
         yield fine("DOC511", f"{name} is {does} by {who}")
 
 
@@ -136,8 +136,8 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
     if end.type_name == _ANY:
         return found("DOC518", f"{who} {verb} {end.topic}, whose type is unknown")
     if end.type_name != plan.type_name:
-        remedy = f"Write `type: {end.type_name}` for {plan.topic}, or correct the node."
-        return found("DOC512", f"{does}, here it is {plan.type_name} [ROS003]", remedy)
+        remedy = f"Write `type: {end.type_name}` for {plan.topic}, or change the node."
+        return found("DOC512", f"{does}, but here it is {plan.type_name} [ROS003]", remedy)
     if ours and end.type_hash and ours != end.type_hash:
         there, here = end.type_hash[7:15], ours[7:15]
         what = f"{does} with another definition (type hash {there}… there, {here}… here) [ROS003]"

@@ -46,11 +46,11 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     left = [each for each in idle if each not in retired and each not in strangers]
     if unknown:
         what = plural(len(unknown), "object")
-        yield found("DOC003", f"not visible: who holds {what}, since /proc/locks cannot be read")
+        yield found("DOC003", f"not visible: which process holds {what}, since /proc/locks cannot be read")
     what = f"no bridge holds {plural(len(left), 'object')}: {_names(left)}" if left else ""
     yield judged("DOC205", what, "every object is held by a bridge", command=_clean(left, objects))
     what = f"not in the configuration, and held by no bridge: {_names(strangers)}" if strangers else ""
-    well = "no object is left of topics that the configuration does not have"
+    well = "no object is left of topics that are not in the configuration"
     yield judged("DOC206", what, well, command=_clean(strangers, objects))
     yield judged("DOC208", f"retired: {_names(retired)}" if retired else "", "no retired object is left")
     # A bridge that runs may be making a temporary at this moment.
@@ -68,8 +68,8 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
         for each in concerned(objects, prefix)
         if each.bridge_beats and not each.held and lock_of(each.path) not in objects.locks
     ]
-    what = f"a bridge beats, but there is no lock file: {_names(without)}" if without else ""
-    yield judged("DOC213", what, "every object that a bridge beats in has its lock file")
+    what = f"a bridge is running without a lock file: {_names(without)}" if without else ""
+    yield judged("DOC213", what, "every object of a running bridge has its lock file")
 
 
 def _clean(gone: Sequence[Seen], objects: Objects, *, root: bool = False) -> str:
@@ -132,7 +132,7 @@ def ownership(
     open_ = {seen.label: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
     who = "change" if max(open_.values(), default=0) & 0o002 else "read"
     what = f"every user may {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
-    remedy = "In the configuration: shm: {mode: '0660', group: GROUP}; then restart it."
+    remedy = "In the configuration: shm: {mode: '0660', group: GROUP}; then restart the bridge."
     yield judged("DOC210", what, "no object is open to every user", remedy)
 
 
@@ -152,8 +152,8 @@ def locks(
     present = {name: path for name, path in sorted(paths.items()) if path.is_file()}
     other = {name: size for name, path in present.items() if (size := path.stat().st_size) != bits // 2}
     for name, size in other.items():
-        made = f"{_SIZES[size]}-bit programs" if size in _SIZES else "no C library that is known"
-        what = f"sem.{name} was made by {made} ({size} bytes), and a bridge here has {bits} bits"
+        made = f"{_SIZES[size]}-bit programs" if size in _SIZES else "an unknown C library"
+        what = f"sem.{name} was made by {made} ({size} bytes), but a bridge here has {bits} bits"
         yield found("DOC215", what)
     if not other:
         yield fine("DOC215", "semaphores have this machine's word size")
@@ -166,12 +166,12 @@ def locks(
         if look < _LOOKS - 1:
             sleep(_PAUSE_S)
     taken = [name for name, value in most.items() if not value]
-    what = f"taken at all of {_LOOKS} looks: {listed(taken)}" if taken else ""
+    what = f"locked at each of {_LOOKS} checks: {listed(taken)}" if taken else ""
     command = _remove(*(same[name] for name in taken)) if taken else ""
-    yield judged("DOC214", what, "no lock of a classic topic stays taken", command=command)
+    yield judged("DOC214", what, "no semaphore of a classic topic stays locked", command=command)
     many = [f"{name} ({value})" for name, value in most.items() if value > 1]
-    what = f"more than one may enter: {listed(many)}" if many else ""
-    yield judged("DOC216", what, "no semaphore lets in more than one")
+    what = f"admits more than one process: {listed(many)}" if many else ""
+    yield judged("DOC216", what, "no semaphore admits more than one process")
 
 
 def _remove(*paths: Path) -> str:

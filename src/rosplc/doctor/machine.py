@@ -49,7 +49,7 @@ def architecture(
 
 def clock(now_s: float) -> Iterator[Finding]:
     """Judge the time of day, in seconds since 1970."""
-    unset = "the clock is before 2025: it has not been set since the start of the machine"
+    unset = "the clock is before 2025: it has not been set since the machine started"
     remedy = "Set the clock; a board without a battery needs NTP or PTP."
     seen = unset if now_s < _RELEASED_S else ""
     yield judged("DOC103", seen, "the clock is plausible", remedy, "timedatectl set-ntp true")
@@ -97,10 +97,10 @@ def logout(root: Path, uid: int, user: str) -> Iterator[Finding]:
     elif uid < _FIRST_PERSON or uid in _SERVICES:
         yield fine("DOC106", f"{user} is a system user, whose objects systemd leaves alone")
     elif (root / "var/lib/systemd/linger" / user).exists():
-        yield fine("DOC106", f"{user} lingers, and is never logged out altogether")
+        yield fine("DOC106", f"{user} has lingering enabled, so systemd removes nothing")
     else:
         seen = f"RemoveIPC=yes ({where}), and {user} is an ordinary user"
-        remedy = "Run the bridge as a system user (`rosplc service install`), or let this one linger."
+        remedy = "Run the bridge as a system user (`rosplc service install`), or enable lingering for it."
         yield found("DOC106", seen, remedy, f"sudo loginctl enable-linger {user}")
 
 
@@ -146,7 +146,7 @@ def mode(directory: Path, *, writable: bool) -> Iterator[Finding]:
     """Judge the directory's mode; ``writable``: this user may make files in it."""
     bits = stat.S_IMODE(directory.stat().st_mode)
     seen = f"{directory} has mode {bits:04o}"
-    what = seen if writable else f"{seen}, and this user may not make files there"
+    what = seen if writable else f"{seen}, and this user may not create files there"
     level = Level.WARNING if writable else Level.ERROR
     command = f"sudo chmod 1777 {directory}"
     yield judged("DOC202", "" if bits == 0o1777 else what, seen, command=command, level=level)
@@ -164,7 +164,7 @@ def room(directory: Path, space: os.statvfs_result, needed: int, present: int) -
     if missing > free:
         # A bridge makes a new object beside the old one, so twice the need is required.
         mib = -(-(size + 2 * missing) // _MIB)
-        remedy = "Enlarge it, or lower limits and depth; a container takes --shm-size."
+        remedy = "Enlarge it, or lower limits and depth; for a container, use --shm-size."
         command = f"sudo mount -o remount,size={mib}m {directory}"
         what = f"{seen}; the configuration's objects need {_mib(missing)} more"
         yield found("DOC203", what, remedy, command)

@@ -37,7 +37,7 @@ def distro(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     other = wish is not None and here and here != wish.distro
     seen = f"ROS_DISTRO is {here}, the configuration's ros.distro is {wish.distro}" if wish and other else ""
     unset = "ROS_DISTRO is not set: no ROS installation is sourced, and none is needed"
-    remedy = f"Write `ros: {{distro: {here}}}`, or source the other's setup.bash."
+    remedy = f"Write `ros: {{distro: {here}}}`, or source the setup.bash of ros.distro."
     yield judged("DOC401", seen, f"ROS_DISTRO is {here}" if here else unset, remedy)
 
 
@@ -71,7 +71,7 @@ def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     if wish is None or wish.domain is None:
         yield fine("DOC402", f"ROS domain {here}")
         return
-    what = f"the configuration's ros.domain is {wish.domain}; nodes from this shell are in domain {here}"
+    what = f"the configuration's ros.domain is {wish.domain}; nodes of this shell are in domain {here}"
     well = f"ROS domain {here}, in the shell and in the configuration"
     command = f"export ROS_DOMAIN_ID={wish.domain}"
     yield judged("DOC402", "" if str(wish.domain) == here else what, well, command=command)
@@ -80,15 +80,15 @@ def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
 def middleware(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
     """Compare RMW_IMPLEMENTATION with the backend."""
     rmw = environment.get("RMW_IMPLEMENTATION", "").strip()
-    word = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "RMW_IMPLEMENTATION is not set, so nodes speak DDS"
+    word = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "RMW_IMPLEMENTATION is not set, so nodes use DDS"
     if wish is not None and wish.ros1:
         yield fine("DOC404", "ROS 1 has no RMW_IMPLEMENTATION")
     elif wish is None or wish.backend in ("", "rclpy", "memory"):
         yield fine("DOC404", word)
     else:
         zenoh = wish.backend == "zenoh"
-        what = "" if zenoh == (rmw == "rmw_zenoh_cpp") else f"{word}, and the backend is {wish.backend}"
-        remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or start the nodes without it."
+        what = "" if zenoh == (rmw == "rmw_zenoh_cpp") else f"{word}, but the backend is {wish.backend}"
+        remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or unset RMW_IMPLEMENTATION for nodes."
         command = "export RMW_IMPLEMENTATION=rmw_zenoh_cpp" if zenoh else ""
         yield judged("DOC404", what, f"{word}, as backend {wish.backend} does", remedy, command)
 
@@ -102,7 +102,7 @@ def reach(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding
     if environment.get("ROS_LOCALHOST_ONLY") == "1":
         yield found("DOC405", "ROS_LOCALHOST_ONLY=1: only nodes of this machine are found")
     elif environment.get(variable) == "OFF":
-        yield found("DOC405", f"{variable}=OFF: no node is found", "Unset it.", f"unset {variable}")
+        yield found("DOC405", f"{variable}=OFF: no node is found", "Unset the variable.", f"unset {variable}")
     else:
         more = f", and those at {peers}" if peers else ""
         local = f"{variable}=LOCALHOST: nodes of this machine{more} are found"
@@ -127,7 +127,7 @@ def addresses(
         return
     name = next((key for key in ("ROS_HOSTNAME", "ROS_IP") if environment.get(key)), "")
     if not name:
-        yield fine("DOC410", "other nodes are told this machine's own name (no ROS_IP, no ROS_HOSTNAME)")
+        yield fine("DOC410", "other nodes get this machine's host name (ROS_IP and ROS_HOSTNAME are not set)")
         return
     text = environment[name]
     try:
@@ -261,7 +261,7 @@ def master(
     except ValueError:
         host = port = None
     if not host or not port or parts.scheme != "http":
-        what = f"ROS_MASTER_URI is {uri!r}; it is something like http://localhost:11311"
+        what = f"ROS_MASTER_URI is {uri!r}; it must be an address such as http://localhost:11311"
         yield found("DOC403", what, command="export ROS_MASTER_URI=http://localhost:11311")
         return
     what = f"nothing answers at {uri}: {reason}" if (reason := call(host, port)) else ""

@@ -246,7 +246,7 @@ def _watch(watched: list[_Watched], seconds: float, sleep: Callable[[float], Non
 
 
 _NO_LAYOUT = "0" * 16
-_RESTART = "Look at its log, and restart it."
+_RESTART = "See the log of the bridge, and restart it."
 
 
 @dataclass(frozen=True)
@@ -282,7 +282,7 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
         yield found("DOC601", f"no bridge holds any of {count}", command=start)
         return
     missing = [topic for topic, is_held in held.items() if not is_held]
-    what = f"a bridge runs, and does not hold {listed(missing)}" if missing else ""
+    what = f"a bridge is running, but does not hold {listed(missing)}" if missing else ""
     remedy = "Restart the bridge with this configuration."
     yield judged("DOC601", what, f"a bridge holds {count}", remedy, start if missing else "", Level.WARNING)
     silent = [
@@ -291,7 +291,7 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
         if each.live and each.seen and not each.seen.bridge_beats and not is_starting(each.seen.bridge_pid)
     ]
     if silent:
-        what = f"a bridge holds {listed(dict.fromkeys(silent))}, and does not beat: it hangs, or was stopped"
+        what = f"a bridge holds {listed(dict.fromkeys(silent))}, but has no heartbeat: it hangs or is stopped"
         yield found("DOC601", what, _RESTART, level=Level.ERROR)
 
 
@@ -306,13 +306,13 @@ def bridges(objects: Objects) -> Iterator[Finding]:
         silent = [seen for seen in held if not seen.bridge_beats]
         pid = max((seen.bridge_pid for seen in silent), default=0)
         if not silent:
-            yield fine("DOC601", f"{bridge} beats in {count}")
+            yield fine("DOC601", f"{bridge} is running with {count}")
         elif is_starting(pid):
-            yield fine("DOC601", f"{bridge} holds {count}, and is starting")
+            yield fine("DOC601", f"{bridge} holds {count} and is starting")
         else:
             words = process_words(pid) if pid else ""
-            why = f"process {pid}, {words}" if words else "it hangs, or was stopped"
-            what = f"{bridge} holds {listed(seen.label for seen in silent)}, and does not beat: {why}"
+            why = f"process {pid}, {words}" if words else "it hangs or is stopped"
+            what = f"{bridge} holds {listed(seen.label for seen in silent)}, but has no heartbeat: {why}"
             yield found("DOC601", what, _RESTART, level=Level.ERROR)
 
 
@@ -333,7 +333,7 @@ def _difference(plan: Carried, seen: Seen) -> str:
     identity, description = seen.identity, seen.description
     assert identity is not None
     if identity.direction is not plan.direction:
-        return f"the object goes {identity.direction.word}, the configuration says {plan.direction.word}"
+        return f"the object's direction is {identity.direction.word}, but configured is {plan.direction.word}"
     if identity.layout_id == plan.layout.layout_id:
         return ""
     what = f"layout {identity.layout_id} there, {plan.layout.layout_id} here"
@@ -353,8 +353,8 @@ def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
     if not live:
         return
     idle = dict.fromkeys(plan.use for plan, seen in live if not seen.plc_beats)
-    what = f"no PLC task beats in {listed(idle)}" if idle else ""
-    yield judged("DOC603", what, f"PLC tasks beat in {plural(len(live), 'object')}")
+    what = f"no running PLC task uses {listed(idle)}" if idle else ""
+    yield judged("DOC603", what, f"running PLC tasks use {plural(len(live), 'object')}")
     refused = []
     for plan, seen in live:
         if plan.direction is not Direction.TO_PLC or seen.identity is None:
@@ -363,7 +363,7 @@ def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
         for line in seen.plc_lines:
             if line.layout_id not in (actual, _NO_LAYOUT):
                 task = line.task or f"process {line.pid}"
-                what = f"task {task} expects layout {line.layout_id}, the object has {actual}"
+                what = f"task {task} expects layout {line.layout_id}, but the object has {actual}"
                 refused.append(found("DOC604", f"{plan.name}: {what}"))
             elif line.error:
                 code = f"SHM{line.error:03d}"
@@ -379,6 +379,6 @@ def refusals(topics: Sequence[Carried]) -> Iterator[Finding]:
         if each.live and each.seen is not None and each.seen.snapshot is not None:
             writer = each.seen.snapshot.writer
             if writer.refused or writer.truncated:
-                refused.append(f"{each.name}: {writer.refused} refused, {writer.truncated} shortened")
+                refused.append(f"{each.name}: {writer.refused} refused, {writer.truncated} truncated")
     if refused or any(each.live for each in topics):
-        yield judged("DOC605", "; ".join(refused), "no message was refused or shortened")
+        yield judged("DOC605", "; ".join(refused), "no message was refused or truncated")

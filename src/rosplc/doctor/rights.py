@@ -125,7 +125,7 @@ def runtimes(seen: Sequence[Runtime], machine_bits: int, *, classic: bool) -> It
     ``classic``: the configuration has classic topics with a lock.
     """
     if not seen:
-        yield found("DOC301", "no process named codesyscontrol* runs here")
+        yield found("DOC301", "no process named codesyscontrol* is running here")
         return
     who = (f"{each.name} (process {each.pid}, user {user_name(each.uid)})" for each in seen)
     yield fine("DOC301", f"running: {listed(who)}")
@@ -158,7 +158,7 @@ def rights(files: Sequence[File], uid: int, gids: frozenset[int]) -> Iterator[Fi
     remedy = f"Put {user} into the group {group}, and start the runtime again."
     if first.gid == 0 or first.mode & 0o060 != 0o060:
         make, group = "sudo groupadd --force plc && ", "plc"
-        remedy = f"Create a group that {user} is in, and give it the objects with {shared}."
+        remedy = f"Create a group that contains {user}, and give the objects to it with {shared}."
     yield found("DOC303", what, remedy, f"{make}sudo usermod --append --groups {group} {user}")
 
 
@@ -169,7 +169,7 @@ def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]
     """
     hidden = [each for each in seen if each.shm is None]
     for each in hidden:
-        yield found("DOC003", f"not visible: what process {each.pid} ({each.name}) has at /dev/shm")
+        yield found("DOC003", f"not visible: the /dev/shm of process {each.pid} ({each.name})")
     for each in seen:
         if each.shm is not None and own is not None and each.shm.device != own.device:
             yield found("DOC304", f"{each.name} (process {each.pid}) has its own /dev/shm", _SHARE)
@@ -184,8 +184,8 @@ def container(root: Path, environment_word: str, *, runtime_seen: bool) -> Itera
     ``root`` contains ``run`` and ``proc``; ``runtime_seen``: a PLC runtime runs in it, too.
     """
     sign = _container_sign(root, environment_word)
-    alone = f"the doctor runs in a container ({sign}), and no PLC runtime in it"
-    well = f"a container ({sign}), with the PLC runtime in it" if sign else "no sign of a container"
+    alone = f"the doctor runs in a container ({sign}) without a PLC runtime"
+    well = f"doctor and PLC runtime are in a container ({sign})" if sign else "no sign of a container"
     yield judged("DOC305", alone if sign and not runtime_seen else "", well, _SHARE)
 
 
