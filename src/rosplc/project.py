@@ -120,7 +120,7 @@ def generate(
         target: The PLC's processor; None: this machine's.
         fences: On ``"arm"``: the device enables the MemoryBarrier library.
         programs: What the names of the generated programs begin with; None: the configuration's ``programs``.
-        pins: Give blocks a pin per top-level field, for Ladder and Function Blocks.
+        pins: Give blocks a pin per top-level field, for Ladder and Function Block Diagram.
         force: Overwrite files that were edited.
 
     Raises:

@@ -119,7 +119,7 @@ def test_one_message_waits_for_its_subscriber(command: Command) -> None:
     ("words", "said"),
     [
         (("pub", "/x", "geometry_msgs/msg/Twist", "{linar: {x: 1}}", "--once"), "linar"),
-        (("pub", "/x", "geometry_msgs/msg/Twist", "{", "--once"), "no YAML"),
+        (("pub", "/x", "geometry_msgs/msg/Twist", "{", "--once"), "not valid YAML"),
         (("pub", "/x", "geometry_msgs/msg/Twits", "--once"), "Twits"),
     ],
 )

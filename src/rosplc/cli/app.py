@@ -12,7 +12,7 @@ from rosplc._version import FORMAT, __version__
 
 _EXAMPLES = """Examples:
 
-rosplc demo  —  see it work, without a robot and without a PLC
+rosplc demo  —  see it work without a robot or a PLC
 
 rosplc init  —  write rosplc.yaml from a running robot
 
@@ -32,7 +32,7 @@ rosplc doctor  —  problems of machine and configuration, with fixes
 _VERBS = """\
 Set up
   demo: Show ROS topics reaching a virtual PLC and its commands coming back.
-  init: Look at a robot or a recording, and write a commented configuration.
+  init: Examine a robot or a recording, and write a commented configuration.
   check: Explain a configuration: what is carried, in which direction, how, and who may open it.
   generate: Write the PLC half: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
   types: List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
@@ -40,14 +40,14 @@ Set up
 Run
   run: Run the bridge in the foreground; logs go to stderr.
   reload: Tell a running bridge to apply its changed configuration, without stopping it.
-  service: Run a bridge as a service of systemd: install it, remove it, or see how it stands.
+  service: Run a bridge as a systemd service: install it, remove it, or show its status.
   release: Free the claim of a writer that is dead, so that another program may write the channel.
   clean: Remove the objects of a prefix that no bridge holds: channels, locks and temporaries.
 
 Watch
   status: Print one table of every channel of every bridge on this machine, and what is wrong.
   show: Show the message in a topic's shared memory, or list all channels of this machine.
-  top: Watch every channel of this machine in the terminal: rates, ages, losses, who lives, live values.
+  top: Watch every channel of this machine in the terminal: rates, ages, losses, live peers, values.
   web: Show this machine's channels in a browser, live, until Ctrl-C.
   record: Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
   replay: Replay a recording into channels or onto ROS topics, in its order and at its pace.
@@ -59,7 +59,7 @@ ROS
   pub: Publish messages on a ROS topic.
 
 Diagnose
-  doctor: Examine this machine, a configuration and what runs; suggest fixes.
+  doctor: Examine this machine, a configuration and running bridges; suggest fixes.
   explain: Explain an error code: what it means, and what to do.
   bench: The comparison with Modbus and OPC UA is now the command rosplc-bench.
 """

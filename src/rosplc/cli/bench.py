@@ -19,14 +19,14 @@ from rosplc.cli.verb import EXIT_CONFIG, verb
 def command(
     *,
     arguments: Annotated[
-        list[str] | None, typer.Argument(hidden=True, help="What rosplc-bench takes.")
+        list[str] | None, typer.Argument(hidden=True, help="The options of rosplc-bench.")
     ] = None,
 ) -> None:
     """The comparison with Modbus and OPC UA is now the command rosplc-bench."""
     from rosplc.doctor.machine import pip_here
 
     warn(
-        "The comparison is now a command of its own, with the same options: rosplc-bench\n"
+        "The comparison is now a separate command with the same options: rosplc-bench\n"
         + pip_here("  to install it: pip install 'rosplc[bench]'")
     )
     raise typer.Exit(EXIT_CONFIG)

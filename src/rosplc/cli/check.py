@@ -62,7 +62,7 @@ def command(
     Options:
         verbose: Explain each topic: memory, QoS, what happens when silent.
         schema: Print the JSON Schema of configuration files.
-        fix: Rewrite keys that have new names; comments and layout stay.
+        fix: Rename keys that have new names; comments and layout stay.
     """
     if schema:
         print_json(json_schema())
@@ -99,7 +99,7 @@ def _explain(project: Project, *, verbose: bool) -> None:
     if unusable:
         what = plural(len(unusable), "custom type")
         more = "" if verbose else " (rosplc check -v)"
-        total.append(f"{what} in types.paths cannot be used; the topics do not need them{more}.")
+        total.append(f"{what} in types.paths cannot be used, but no topic needs them{more}.")
     if verbose:
         # A type that needs another has the other's mistake.
         listed = dict.fromkeys(f"  {error.where}: {error.what} [{error.code}]" for error in unusable)
@@ -206,7 +206,7 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
         yield "undecided", f"rejected after {format_duration(plan.accept_within_ns)}"
         yield "result", f"kept for {format_duration(plan.keep_result_ns)}"
     elif isinstance(plan, ActionPlan):
-        down = {"cancel": "the goal is canceled", "keep": "the goal goes on"}
+        down = {"cancel": "the goal is canceled", "keep": "the goal continues"}
         yield "without a PLC", down[plan.when_plc_down]
 
 
@@ -238,7 +238,7 @@ def _access_words(given: dict[str, Any]) -> str:
     owner = f"user {given['owner']}" if given["owner"] else "the user who starts the bridge"
     group = f"group {given['group']}" if given["group"] else "that user's group"
     verbs = {0: "not at all", 2: "writing", 4: "reading only", 6: "reading and writing"}
-    everybody = "nobody else" if not mode & 0o006 else f"everybody else {verbs[mode & 0o006]}"
+    everybody = "no other user" if not mode & 0o006 else f"everybody else {verbs[mode & 0o006]}"
     who = f"{owner} and {group}"
     if mode & 0o060 != 0o060:
         who = f"{owner}; {group} {verbs[mode >> 3 & 0o006]}"
@@ -301,12 +301,12 @@ def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
     if plan.direction != 1:
         yield (
             "",
-            f"a late subscriber gets {'the messages that were kept' if kept else 'nothing from before'}",
+            f"a late subscriber gets {'the stored messages' if kept else 'no earlier messages'}",
         )
     elif kept:
-        yield "", "what publishers kept from before the bridge started is received"
+        yield "", "messages that publishers stored before the bridge started are received"
     else:
-        yield "", "what was published before the bridge started is not received"
+        yield "", "messages published before the bridge started are not received"
 
 
 def _total(project: Project) -> Iterator[str]:
@@ -330,5 +330,5 @@ def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> Iterator[tuple[str, 
         lock = f"semaphore {classic.semaphore}, tried for {tried}, {freed}"
     yield "lock", lock
     if plan.direction != 1:
-        what = "a changed record is a message" if plan.on_change else "every look is a message"
+        what = "each changed record is a message" if plan.on_change else "each poll is a message"
         yield "looks", f"every {format_duration(classic.poll_ns)}; {what}"

@@ -1,13 +1,13 @@
 """``rosplc clean``: remove objects in shared memory that no bridge holds.
 
-rosplc clean  —  what the bridge of rosplc.yaml in this folder, or of the default prefix, has left behind
+rosplc clean  —  remove what the bridge of rosplc.yaml, or of the default prefix, left behind
 
 rosplc clean --prefix line3 --dry-run  —  show what would be removed
 
-rosplc clean --topic /old_topic  —  this topic alone
+rosplc clean --topic /old_topic  —  only this topic
 
-What a running bridge holds, and files that are no objects of rosplc, are left alone. A PLC that is attached
-notices, and attaches again once a bridge has made a new object; the last values are gone.
+Objects of a running bridge and files of other programs are left alone. An attached PLC detects the removal,
+and attaches again once a bridge has created a new object; the last values are gone.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def command(
     """Remove the objects of a prefix that no bridge holds: channels, locks and temporaries.
 
     Options:
-        prefix NAME: The `prefix:`, in place of a configuration.
+        prefix NAME: The bridge's `prefix:`, instead of a configuration.
         topic TOPIC: Only this topic, service or action; may be repeated.
         dry_run: Show what would be removed.
     """

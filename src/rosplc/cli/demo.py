@@ -2,29 +2,29 @@
 
 rosplc demo  —  watch it until Ctrl-C
 
-rosplc demo --duration 20s  —  run, compare what was sent with what arrived, and say so
+rosplc demo --duration 20s  —  run, then compare the messages sent with those received
 
 rosplc demo --duration 20s --rate 500 --topics 6 --json
 
-rosplc demo --duration 20s --kill  —  the bridge is killed on the way, and started again
+rosplc demo --duration 20s --kill  —  kill the bridge during the run, and start it again
 
-rosplc demo --plc st --duration 20s  —  the PLC runs generated Structured Text, compiled by gcc
+rosplc demo --plc st --duration 20s  —  the PLC runs generated Structured Text, compiled with gcc
 
-rosplc demo --plc openplc --duration 20s  —  the PLC is OpenPLC's runtime
+rosplc demo --plc openplc --duration 20s  —  the PLC is the OpenPLC runtime
 
 A simulated robot publishes over DDS; the bridge carries its topics into shared memory; a
-virtual PLC steers the robot from its pose. They are three processes of their own, in a DDS
-domain and under a prefix that nobody else uses. The exit status is 0 only if every message
-arrived, whole and once. With --kill messages are missing, and it is 0 only if they are one piece
-around the kill, nothing is torn or comes twice, and both directions work again.
+virtual PLC steers the robot from its pose. They are three separate processes, with their own DDS
+domain and prefix. The exit status is 0 only if every message arrived, whole and once. With --kill,
+messages are missing; the exit status is 0 only if they are consecutive and around the kill, no
+message is torn or duplicated, and both directions work again.
 
-With --plc st the PLC is what the generator makes of the demo's configuration, with the program
+With --plc st, the PLC runs the code generated from the demo's configuration and the program
 examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It needs gcc and a
-checkout of the sources; the first time it translates for a minute or two.
+checkout of the sources; the first run translates for a minute or two.
 
-With --plc openplc the PLC is OpenPLC Runtime 4.1, whose built folder ROSPLC_OPENPLC names; ROSPLC_STRUCPP
-names that of STruC++, which compiles the program. The runtime needs /run/runtime, which root can make, and
-no other runtime on the machine. Its cycle times are its own; the mean is of the last seconds.
+With --plc openplc, the PLC is OpenPLC Runtime 4.1. Set ROSPLC_OPENPLC to its built folder and ROSPLC_STRUCPP
+to that of STruC++, which compiles the program. The runtime needs the folder /run/runtime, which only root can
+create, and must be the only one on the machine. It measures its cycle times; the mean is of the last seconds.
 """
 
 from __future__ import annotations
@@ -65,12 +65,12 @@ def command(
     """Show ROS topics reaching a virtual PLC and its commands coming back.
 
     Options:
-        duration TIME: How long messages are sent, such as 20s; without it until Ctrl-C, or for 20s
-            where the output is not a terminal.
+        duration TIME: How long to send messages, such as 20s; by default until Ctrl-C, or for 20s
+            if the output is not a terminal.
         rate HZ: Messages per second and topic.
         topics N: Topics that the robot sends.
-        plc KIND: What the PLC runs: python; st, generated Structured Text in C; or openplc, a program in
-            OpenPLC's runtime.
+        plc KIND: What the PLC runs: python; st, generated Structured Text as C; or openplc, a program in
+            the OpenPLC runtime.
         kill: Kill the bridge (SIGKILL) after a third of the time, and start it again.
         as_json: Print the result as JSON.
     """
@@ -187,7 +187,7 @@ def _print(result: Result) -> None:
     say(
         f"PLC task: {cycle['scans']} scans, {cycle['missed']} missed, "
         f"mean {cycle['cycle_mean_us'] / 1000:.2f} ms, longest {cycle['cycle_max_us'] / 1000:.2f} ms; "
-        f"the robot went {result.metres:.2f} m on its commands"
+        f"the robot went {result.metres:.2f} m following its commands"
     )
     if result.program is not None:
         say(
@@ -207,5 +207,5 @@ def _in_words(outage: Outage) -> str:
     return (
         f"The bridge was killed at {outage.killed_at:.1f} s and started again at "
         f"{outage.restarted_at:.1f} s; from then the PLC had messages after {after(outage.to_plc_at)}, "
-        f"the robot commands after {after(outage.to_ros_at)}. The PLC ran on."
+        f"the robot commands after {after(outage.to_ros_at)}. The PLC kept running."
     )

@@ -1,15 +1,15 @@
 """``rosplc doctor``: what is wrong on this machine, and what to do about it.
 
-rosplc doctor  —  this machine, and rosplc.yaml if this folder has one
+rosplc doctor  —  examine this machine, and rosplc.yaml if this folder contains one
 
-rosplc doctor rosplc.yaml  —  and whether this configuration works here: objects, PLC, ROS graph
+rosplc doctor rosplc.yaml  —  also check the configuration here: objects, PLC, ROS graph
 
-rosplc doctor rosplc.yaml --plc generated  —  and whether the PLC's code fits
+rosplc doctor rosplc.yaml --plc generated  —  also check the PLC's code
 
 rosplc doctor rosplc.yaml --json | jq '.findings[] | select(.level == "error")'
 
-Without a configuration the machine alone is examined. The doctor needs no root, no ROS and no PLC, and
-changes nothing. The exit status is 1 if there is an error among what it finds, 2 if the configuration itself
+Without a configuration, only the machine is examined. The doctor needs no root, no ROS and no PLC, and
+changes nothing. The exit status is 1 if a finding is an error, and 2 if the configuration itself
 is wrong. `rosplc explain CODE` explains a code.
 """
 
@@ -47,14 +47,14 @@ def command(
     everything: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Examine this machine, a configuration and what runs; suggest fixes.
+    """Examine this machine, a configuration and running bridges; suggest fixes.
 
     Options:
-        plc FOLDER: What `rosplc generate` wrote: compare it with what is running.
-        plc_user NAME: The PLC runtime's user, where it does not run now.
-        ros: Look at the ROS graph, if there is a configuration.
-        seconds SECONDS: How long to look at the ROS graph.
-        everything: Show what is fine, line by line.
+        plc FOLDER: The output of `rosplc generate`: compare it with the running bridge.
+        plc_user NAME: The PLC runtime's user, if it is not running now.
+        ros: Examine the ROS graph, if there is a configuration.
+        seconds SECONDS: How long to examine the ROS graph.
+        everything: Also show each passed check.
     """
     config = config or default_config()
     question = Question(config, plc, plc_user or "", ros, seconds, variables=dict(os.environ))
@@ -63,7 +63,7 @@ def command(
         report = examine(question)
     else:
         with status:
-            report = examine(question, lambda what: status.update(f"looking at {what}"))
+            report = examine(question, lambda what: status.update(f"examining {what}"))
     if as_json:
         print_json(report.to_dict())
     else:

@@ -6,7 +6,7 @@ rosplc explain 112  —  the same as a number in `udiError` of a PLC block
 
 rosplc explain DOC603  —  a finding of `rosplc doctor`
 
-rosplc explain  —  every code in a line
+rosplc explain  —  list every code, one per line
 """
 
 from __future__ import annotations

@@ -40,20 +40,20 @@ def command(
 
     Options:
         out FOLDER: The folder to write.
-        all_types DISTRO: Every type of a ROS distribution, no topics.
+        all_types DISTRO: Write every type of a ROS distribution, and no topics.
         plc PLC: codesys; openplc: OpenPLC Runtime 4.1 with STruC++; or matiec: OpenPLC v3 and Beremiz.
-            For the last two --target, --fences, --programs and --pins mean nothing.
-        target PROCESSOR: Processor of the PLC: x86, or arm; by default this machine's. On arm messages
+            For the last two, --target, --fences, --programs and --pins have no effect.
+        target PROCESSOR: Processor of the PLC: x86, or arm; by default this machine's. On arm, messages
             take a scan longer, because no memory fence is proven there; see --fences.
-        fences: With --target arm: the device enables the MemoryBarrier library; trust it where the
+        fences: With --target arm: the device enables the MemoryBarrier library; use it if the
             project has it.
-        programs NAME: What the names of the generated programs begin with; by default the
+        programs NAME: Prefix of the generated programs' names; by default the
             configuration's `programs`, which is SharedMemory.
-        pins: Give blocks a pin per top-level field, for Ladder and Function Blocks.
-        force: Overwrite files that somebody edited.
+        pins: Give blocks a pin per top-level field, for Ladder and Function Block Diagram.
+        force: Overwrite files that were edited.
     """
     if config is not None and all_types is not None:
-        raise typer.BadParameter("name a configuration file or --all-types, not both", param_hint="CONFIG")
+        raise typer.BadParameter("use a configuration file or --all-types, not both", param_hint="CONFIG")
     options: dict[str, Any] = {"plc": plc, "target": target, "fences": fences, "pins": pins, "force": force}
     if all_types is None:
         delivery = generate(config_file(config), out, programs=programs, **options)

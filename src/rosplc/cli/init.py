@@ -1,20 +1,20 @@
 """``rosplc init``: from a robot that is there, or a recording of one, to a configuration.
 
-rosplc init  —  look at the robot, ask what to carry, write rosplc.yaml
+rosplc init  —  examine the robot, ask what to carry, write rosplc.yaml
 
-rosplc init --all --listen 10s  —  ask nothing, take everything, measure for ten seconds
+rosplc init --all --listen 10s  —  do not ask, take all topics, measure for ten seconds
 
 rosplc init --to-plc /cmd_vel --to-ros /joint_states=sensor_msgs/JointState  —  these two topics
 
-rosplc init --topics '/robot1/*' --output cell1.yaml  —  whatever robot1 has
+rosplc init --topics '/robot1/*' --output cell1.yaml  —  all topics of robot1
 
 rosplc init --all --services  —  with the robot's services and actions, as comments
 
 rosplc init --bag line3.bag --all  —  from a recording of ROS 1 or ROS 2
 
-It subscribes to the chosen topics while it listens, and publishes nothing. Limits are proposed from what
-was seen, with half as much again; the file says what was seen and by which rule. Definitions that the
-distribution does not have are taken from `--types`, from an installed ROS (`AMENT_PREFIX_PATH`,
+It subscribes to the chosen topics while it listens, and publishes nothing. The proposed limits are one and
+a half times the observed sizes; the file shows sizes and rules. Definitions that are not in the
+distribution are taken from `--types`, from an installed ROS (`AMENT_PREFIX_PATH`,
 `ROS_PACKAGE_PATH`), from a node that uses the topic or from the recording, and saved in `msg` beside
 the file.
 """
@@ -66,30 +66,30 @@ def command(
     types: list[Path] | None = None,
     as_json: bool = False,
 ) -> None:
-    """Look at a robot or a recording, and write a commented configuration.
+    """Examine a robot or a recording, and write a commented configuration.
 
     Options:
-        topics TOPIC: Carry this topic, or those that a pattern such as `/robot1/*` matches, in the
-            direction that is proposed; `TOPIC=TYPE` names the type, too. May be repeated, or hold
+        topics TOPIC: Carry this topic, or those that match a pattern such as `/robot1/*`, in the
+            proposed direction; `TOPIC=TYPE` also sets the type. May be repeated, or list
             several with commas.
         to_plc TOPIC: As --topics, towards the PLC.
         to_ros TOPIC: As --topics, from the PLC to ROS.
         everything: Carry every topic but those of ROS itself, such as /rosout.
-        services: Propose the services and actions of the graph, too, as comments in the file.
-        yes: Ask nothing; without a choice of topics take all of them.
+        services: Also propose the services and actions of the graph, as comments in the file.
+        yes: Do not ask; without a choice of topics, take all of them.
         listen TIME: How long to listen for sizes and rates; `0s`: not at all.
-        look TIME: How long to look for the robot at most; less once all is seen.
-        bag FILE: Look at a recording (.bag, .mcap, .db3, a folder) in place of a robot.
-        output FILE: The configuration that is written.
-        force: Replace a configuration that is there.
+        look TIME: The longest time to look for the robot; it ends early once all is found.
+        bag FILE: Examine a recording (.bag, .mcap, .db3, a folder) instead of a robot.
+        output FILE: The configuration to write.
+        force: Replace an existing configuration.
         bridge NAME: The bridge's name.
-        backend NAME: The way into ROS, as `ros.backend`.
-        distro NAME: The ROS distribution; `noetic` is ROS 1. Without it ROS_DISTRO, ROS_MASTER_URI or
-            the recording tell, else it is jazzy.
-        domain NUMBER: The ROS domain; without it ROS_DOMAIN_ID, else 0.
+        backend NAME: The ROS backend, as in `ros.backend`.
+        distro NAME: The ROS distribution; `noetic` is ROS 1. By default from ROS_DISTRO,
+            ROS_MASTER_URI or the recording, else jazzy.
+        domain NUMBER: The ROS domain; by default ROS_DOMAIN_ID, else 0.
         connect LOCATOR: A Zenoh router, such as `tcp/192.168.1.10:7447`; may be repeated.
         types FOLDER: A folder with custom .msg files; may be repeated.
-        as_json: Print JSON; nothing is asked.
+        as_json: Print JSON and do not ask.
     """
     # What the backends warn of is part of the outcome, or of the error that ends this.
     logging.getLogger("rosplc").addHandler(logging.NullHandler())
@@ -115,7 +115,7 @@ def command(
             if not as_json:
                 _list(source)
             if as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
-                what = "say what to carry: --topics, --to-plc, --to-ros, or --all"
+                what = "choose what to carry: --topics, --to-plc, --to-ros, or --all"
                 raise typer.BadParameter(what, param_hint="--topics")
             wishes = _ask_topics(found)
         everything = everything or (yes and not wishes)
@@ -172,7 +172,7 @@ def _list(source: Source) -> None:
         (
             number,
             name,
-            ", ".join(topic.types) or "not told",
+            ", ".join(topic.types) or "unknown",
             short(topic.publishers),
             short(topic.subscribers),
             "of ROS itself" if is_of_ros_itself(name) else f"to {direction(topic)[0]}",
@@ -264,7 +264,7 @@ def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
     for name in _asked("Which to carry (numbers, names, 1-4, all)", "all", names):
         topic, kind = topics[name], None
         if len(topic.types) != 1:
-            say(f"{name}: {'nobody tells its type' if not topic.types else ', '.join(topic.types)}")
+            say(f"{name}: {'unknown type' if not topic.types else ', '.join(topic.types)}")
             kind = _asked("  Its type", topic.types[0] if topic.types else None, type_called)
         proposed, why = direction(topic)
         say(f"{name}: {why}.")
@@ -289,4 +289,4 @@ def _picked(part: str, names: list[str]) -> list[str]:
         numbers = range(int(first), int(last if dash else first) + 1)
         if numbers and numbers[0] >= 1 and numbers[-1] <= len(names):
             return [names[number - 1] for number in numbers]
-    raise ValueError(f"{part!r} is neither a topic of the list nor a number from 1 to {len(names)}")
+    raise ValueError(f"{part!r} is neither a listed topic nor a number from 1 to {len(names)}")

@@ -24,7 +24,7 @@ _LOOK_S = 0.1
 ConfigFile = Annotated[
     Path | None, typer.Argument(help="The configuration file; rosplc.yaml in this folder by default.")
 ]
-Directory = Annotated[str, typer.Option(help="Where the objects are.", hidden=True)]
+Directory = Annotated[str, typer.Option(help="The folder of the objects.", hidden=True)]
 Prefix = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Only the bridge with this `prefix:`; rosplc.yaml is not read then."),
@@ -43,7 +43,7 @@ StaleAfter = Annotated[
     str,
     typer.Option(
         metavar="DURATION",
-        help="What is stale towards the PLC where no configuration says it, such as 500ms, or `never`.",
+        help="Age at which messages to the PLC are stale without a configuration, such as 500ms, or `never`.",
     ),
 ]
 
@@ -73,7 +73,7 @@ def config_file(given: Path | None) -> Path:
     if given is None and default_config() is None:
         raise ConfigError(
             "CFG001",
-            "no configuration was named, and this folder has no rosplc.yaml",
+            "no configuration was given, and this folder has no rosplc.yaml",
             where=str(Path.cwd()),
             remedy="Name the file, or write one with `rosplc init`.",
         )

@@ -7,12 +7,12 @@ rosplc record /cmd_vel '/robot1/*' -o shift.mcap --duration 10min  —  some of 
 rosplc record --bag -o shift --split-size 1GB  —  a folder for `ros2 bag`, a new file every gigabyte
 
 rosplc record --keep 5min --trigger error --trigger '/plc/status.fault' --after 10s  —  keep the last five
-minutes in memory, and write them when something has happened; Ctrl-C ends it, `kill -USR1` saves at once
+minutes in memory, and write them when a trigger fires; Ctrl-C ends it, `kill -USR1` saves at once
 
-rosplc record --repair broken.mcap  —  save what is whole of a file that was cut off
+rosplc record --repair broken.mcap  —  save the intact part of a file that was cut off
 
-It reads every message in order, and nobody notices it. What it could not keep up with is counted, printed,
-and written to the file.
+It reads every message in order, without affecting other programs. Messages that it misses are counted,
+printed, and noted in the file.
 """
 
 from __future__ import annotations
@@ -73,24 +73,24 @@ def command(
     """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
 
     Options:
-        topics: Topics, services and actions, or patterns such as '/robot1/*'; without, all of them.
+        topics: Topics, services and actions, or patterns such as '/robot1/*'; by default all.
         output PATH: The file, or the folder of a bag; by default rosplc_DATE.
         bag: Write a folder with a metadata.yaml, as `ros2 bag record` does.
         prefix NAME: The bridge's `prefix:`; by default the configuration's, else rosplc.
-        config FILE: The bridge's configuration: prefix, QoS and `stale_after:` count; without --prefix,
+        config FILE: The bridge's configuration, for prefix, QoS and `stale_after:`; without --prefix,
             rosplc.yaml in this folder by default.
         exclude TOPIC: Topics, services or patterns to leave out.
-        duration TIME: End after so long, such as 10min.
-        split_size SIZE: Begin a new file at so many bytes, such as 1GB.
-        split_time TIME: Begin a new file after so long, such as 10min.
+        duration TIME: End after this time, such as 10min.
+        split_size SIZE: Begin a new file at this size, such as 1GB.
+        split_time TIME: Begin a new file after this time, such as 10min.
         compression NAME: How messages are compressed: zstd, lz4 or none.
-        keep TIME: Keep so much in memory, and write it only when a trigger fires.
-        memory SIZE: With --keep: what that may take; the oldest gives way.
+        keep TIME: Keep this much in memory, and write it only when a trigger fires.
+        memory SIZE: With --keep: the most memory to use; the oldest messages are dropped.
         trigger WHAT: With --keep: stale, error, or a field that becomes true such as
             '/plc/status.fault' or '/tank.level > 0.9'; by default stale and error.
-        after TIME: With --keep: go on for so long after a trigger.
-        files N: With --keep: save no more often than this.
-        repair FILE: Record nothing: save what is whole of this file, into --output.
+        after TIME: With --keep: continue for this time after a trigger.
+        files N: With --keep: save at most this many times.
+        repair FILE: Do not record: save the intact part of this file as --output.
         quiet: Print no progress.
         as_json: Print the result as JSON.
     """
@@ -197,14 +197,14 @@ def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> Non
         warn(f"{name} is not recorded: {error.what} [{error.code}]")
     topics = list(recorder.inlet.counts)
     for pattern in options.selection.without_match(topics):
-        warn(f"there is no channel {pattern} yet; it is recorded when it comes")
+        warn(f"there is no channel {pattern} yet; it is recorded once it exists")
     for trigger, topic in recorder.idle_triggers().items():
-        why = f"{topic} is not among the topics that are recorded; it cannot fire"
+        why = f"{topic} is not recorded, so it cannot fire"
         if topic in options.selection:
-            why = f"there is no channel {topic} yet; it cannot fire before that comes"
+            why = f"there is no channel {topic} yet; it cannot fire until that exists"
         warn(f"trigger {trigger!r}: {why}")
     if not topics:
-        warn(f"there is no channel of prefix {options.namespace.prefix} yet; what comes is recorded")
+        warn(f"there is no channel of prefix {options.namespace.prefix} yet; those that appear are recorded")
         found = find_objects(str(options.namespace.directory), seconds=0.0)
         if others := sorted({state.prefix for state in found}):
             warn(f"there are channels of prefix {', '.join(others)}: choose with --prefix")
@@ -243,7 +243,7 @@ def _report(recorder: Recorder, result: Result, *, as_json: bool) -> None:
         if result.unsaved:
             warn(f"{result.unsaved} more triggers: --files {recorder.options.most_files} was reached")
         if result.cut_short:
-            warn("memory was full before the time was: raise --memory, or leave out topics")
+            warn("memory was full before --keep was reached: raise --memory, or leave out topics")
     if result.lost:
         warn("messages were lost: raise slots: of these topics, or record fewer; sequence numbers show where")
 

@@ -1,11 +1,11 @@
 """``rosplc release``: free the writer's claim that a dead PLC has left in a channel.
 
-rosplc release /plc/status  —  the PLC that wrote it crashed, and something else is to write it
+rosplc release /plc/status  —  the PLC that wrote it crashed, and another program is to write it
 
-rosplc release /plc/status --prefix line3 --yes  —  another bridge's channel, without a question
+rosplc release /plc/status --prefix line3 --yes  —  another bridge's channel, without confirmation
 
-The claim is freed only if its holder shows no life for three times the beat that it announced.
-A PLC that was merely stopped finds its claim gone when it runs again: its block reports error 115.
+The claim is freed only if its holder shows no sign of life for three of its heartbeat periods.
+A PLC that was only paused loses its claim: its block reports error 115 when it runs again.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def command(
     """Free the claim of a writer that is dead, so that another program may write the channel.
 
     Options:
-        topic: The topic, as ROS writes it.
+        topic: The topic's ROS name.
         prefix NAME: The bridge's `prefix:`; by default that of rosplc.yaml in this folder, else rosplc.
-        yes: Ask nothing.
+        yes: Do not ask.
     """
     namespace = bridge_namespace(prefix, directory)
     with attach(namespace, topic, write=True) as attached:
@@ -46,7 +46,7 @@ def command(
         if not yes:
             if not sys.stdin.isatty():
                 raise typer.BadParameter("without a terminal, confirm with --yes", param_hint="--yes")
-            typer.confirm(f"The writer of {topic} shows no life. Free its claim?", abort=True)
+            typer.confirm(f"The writer of {topic} shows no sign of life. Free its claim?", abort=True)
         to_plc = attached.identity.direction is Direction.TO_PLC
         # Only a bridge writes there: its lock shows whether one is running.
         with OwnedChannel.take_over(namespace, attached) if to_plc else nullcontext():

@@ -6,7 +6,7 @@ rosplc reload cell1.yaml  —  check this file, then tell its bridge to read it 
 
 rosplc reload --prefix line3  —  the bridge with this `prefix:`
 
-A file that is wrong changes nothing. The bridge's log has the outcome. For a service: systemctl reload.
+A file with an error changes nothing. The bridge logs the result. For a service: systemctl reload.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def command(
     """Tell a running bridge to apply its changed configuration, without stopping it.
 
     Options:
-        prefix NAME: The bridge's `prefix:`, in place of a configuration.
+        prefix NAME: The bridge's `prefix:`, instead of a configuration.
     """
     if prefix is None:
         settings = load_project(config_file(config or default_config())).config.settings

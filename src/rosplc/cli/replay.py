@@ -1,18 +1,18 @@
 """``rosplc replay``: a recording's messages again, into channels or onto ROS topics.
 
-rosplc replay shift.mcap --list  —  what is in it
+rosplc replay shift.mcap --list  —  list its contents
 
-rosplc replay shift.mcap --to plc  —  into channels, to test a PLC program with yesterday's line
+rosplc replay shift.mcap --to plc  —  into channels, to test a PLC program with recorded data
 
 rosplc replay shift.mcap --to plc --speed 0.5 --loop --start 30s --end 40s  —  ten seconds of it, slowly,
-again and again until Ctrl-C
+repeated until Ctrl-C
 
 rosplc replay robot.bag --to ros --topic /odom --rename /odom:=/test/odom  —  onto a ROS topic
 
-rosplc replay shift.mcap --to plc --config cell1.yaml --service /cell/start  —  requests of a service as well
+rosplc replay shift.mcap --to plc --config cell1.yaml --service /cell/start  —  also requests of a service
 
-It plays MCAP files and folders of ROS 2, and ROS 1 bags, also those that were cut off. Towards the PLC it
-takes the bridge's place, so that no bridge may carry these topics meanwhile. Messages are stamped with the
+It plays ROS 2 MCAP files and folders, and ROS 1 bags, even if they were cut off. Towards the PLC it
+takes the place of the bridge, so no bridge may carry these topics meanwhile. Messages are stamped with the
 time at which they are sent; `--stamps original` keeps the recorded stamps.
 """
 
@@ -82,28 +82,28 @@ def command(
     Options:
         file: An .mcap or .bag file, or the folder of a ROS 2 recording.
         to plc|ros: Into channels, or onto ROS topics.
-        listing: Say what is in the file, and play nothing.
-        topic TOPIC: Only these topics or patterns, several times.
+        listing: List the contents of the file, and play nothing.
+        topic TOPIC: Only these topics or patterns; may be repeated.
         exclude TOPIC: Topics or patterns to leave out.
-        service SERVICE: Send the recorded requests of this service as well, several times; never without.
-        action ACTION: Send the recorded goals of this action as well, several times; never without.
+        service SERVICE: Also send the recorded requests of this service; may be repeated.
+        action ACTION: Also send the recorded goals of this action; may be repeated.
         rename OLD:=NEW: Play a topic under another name.
         speed FACTOR: 0.5 for half as fast, 2 for twice, or `max`.
         loop: Begin again at the end, until Ctrl-C.
-        start TIME: Leave out so much at the beginning, such as 30s.
-        end TIME: End so long after the recording's beginning.
-        stamps now|original: What messages are stamped with.
-        wait TIME: Wait so long for a reader of each topic, then begin anyway.
-        prefix NAME: With --to plc: the channels' prefix, in place of the configuration's.
+        start TIME: Skip this much at the beginning, such as 30s.
+        end TIME: End at this time after the recording's beginning.
+        stamps now|original: The time that messages are stamped with.
+        wait TIME: How long to wait for a reader of each topic before beginning anyway.
+        prefix NAME: With --to plc: the channels' prefix, instead of the configuration's.
         config FILE: With --to plc: a configuration with prefix, limits and slots; without --prefix,
             rosplc.yaml in this folder by default.
-        backend NAME: With --to ros: the way into ROS, as `ros.backend`.
+        backend NAME: With --to ros: the ROS backend, as in `ros.backend`.
         distro NAME: The ROS distribution; by default the recording's, else ROS_DISTRO.
         quiet: Print no progress.
         as_json: Print the result as JSON.
     """
     if not listing and to is None:
-        raise typer.BadParameter("say where to: plc or ros", param_hint="--to")
+        raise typer.BadParameter("choose --to plc or --to ros", param_hint="--to")
     options = _options(speed, loop, start, end, stamps)
     renames = _renames(rename or [])
     patience = duration(wait, "--wait") / 1e9 if wait != "0" else 0.0
@@ -180,7 +180,7 @@ def _target(
     if to == "ros":
         known = ("auto", *(name for name in BACKENDS if name != "memory"))
         if backend not in known:
-            raise typer.BadParameter(f"{backend!r} is none of {', '.join(known)}", param_hint="--backend")
+            raise typer.BadParameter(f"{backend!r} is not one of {', '.join(known)}", param_hint="--backend")
         return RosTarget(topics, backend=backend, distro=distro)
     file = observed_config(config, prefix)
     project = None if file is None else load_project(file)
@@ -204,9 +204,9 @@ def _play(file: Path, player: Player, patience: float, *, quiet: bool, as_json: 
         with stop_on_signals(lambda _: None) as stop:
             missing = wait_for_readers(target, patience, partial(pause, stop))
             if missing and patience and not quiet:
-                warn(f"nobody takes {', '.join(missing)} yet; the replay begins anyway")
+                warn(f"no reader yet for {', '.join(missing)}; the replay begins anyway")
             if not quiet:
-                pace = "as fast as it goes"
+                pace = "as fast as possible"
                 if options.speed:
                     pace = f"{options.speed:g} times as fast as recorded"
                 kind = "the present time" if options.stamps == "now" else "their recorded time"

@@ -34,7 +34,7 @@ from rosplc.ros.fields import unpack_whole
 _LOOK_S = 5.0  # how long to look for a topic at most; the graph is complete earlier where it is small
 _WINDOW = 10_000
 
-_Backend = Annotated[str | None, typer.Option(metavar="NAME", help="The way into ROS, as `ros.backend`.")]
+_Backend = Annotated[str | None, typer.Option(metavar="NAME", help="The ROS backend, as in `ros.backend`.")]
 _Distro = Annotated[str | None, typer.Option(metavar="NAME", help="The ROS distribution.")]
 _Domain = Annotated[int | None, typer.Option(metavar="NUMBER", help="The ROS domain.")]
 _Types = Annotated[
@@ -126,8 +126,8 @@ def _list(
     """List the topics of the ROS graph, or its services or actions.
 
     Options:
-        show_types: Print the types, too.
-        count_topics: Print their number only.
+        show_types: Also print the types.
+        count_topics: Print only the number of topics.
         services: List services instead.
         actions: List actions of ROS 2 instead.
     """
@@ -174,10 +174,10 @@ def _echo(
 
     Options:
         topic: The topic's name.
-        message_type: Its type; else the graph is asked.
+        message_type: Its type; by default from the ROS graph.
         once: Print the first message and end.
         field PATH: Print this field only.
-        full_length: Print long arrays and strings whole.
+        full_length: Print long arrays and strings in full.
         as_json: Print one JSON document per line.
     """
     with _Node(backend, distro, domain, types) as node:
@@ -217,7 +217,7 @@ def _hz(
 
     Options:
         topic: The topic's name.
-        window: Messages that the average is made of.
+        window: Number of messages to average over.
     """
     with (
         _Node(backend, distro, domain, types) as node,
@@ -266,19 +266,19 @@ def _pub(
     Options:
         topic: The topic's name.
         message_type: Its type, such as geometry_msgs/msg/Twist.
-        values: Fields as YAML; others have their defaults.
+        values: Fields as YAML; omitted fields have their defaults.
         once: Publish one message and end.
-        times: Publish so many messages and end.
-        wait_matching_subscriptions: Wait for so many subscribers; by default 1 with --once and --times,
+        times: Publish this many messages and end.
+        wait_matching_subscriptions: Wait for this many subscribers; by default 1 with --once and --times,
             else 0.
         qos_reliability: `reliable` or `best_effort`.
         qos_durability: `volatile` or `transient_local`.
-        qos_depth: Messages that wait at most.
+        qos_depth: The most messages that may wait.
     """
     try:
         given = yaml.safe_load(values) or {}
     except yaml.YAMLError as error:
-        raise typer.BadParameter(f"no YAML: {error}", param_hint="VALUES") from None
+        raise typer.BadParameter(f"not valid YAML: {error}", param_hint="VALUES") from None
     if not isinstance(given, dict):
         raise typer.BadParameter("give the fields as YAML, such as '{data: 1.5}'", param_hint="VALUES")
     qos = Qos(qos_reliability, qos_durability, qos_depth)  # type: ignore[arg-type]

@@ -7,11 +7,11 @@ rosplc run rosplc.yaml --status 2  —  with a status line every two seconds
 rosplc run rosplc.yaml --ros-args -r __ns:=/robot1 -r /cmd_vel:=/base/cmd_vel  —  ROS arguments, as every
 ROS program takes them; in ROS 1 `__ns:=/robot1 /cmd_vel:=/base/cmd_vel`
 
-`rosplc reload` applies a changed file; a file that is wrong changes nothing. Closing the terminal ends
+`rosplc reload` applies a changed file; a file with an error changes nothing. Closing the terminal ends
 the bridge.
 
-The objects in shared memory stay when it ends: a running PLC keeps its last values, and the next start
-takes them over. `rosplc clean` removes them.
+The objects in shared memory remain when it ends: a running PLC keeps its last values, and the next start
+reuses the objects. `rosplc clean` removes them.
 """
 
 from __future__ import annotations

@@ -2,14 +2,14 @@
 
 rosplc service install cell1 --dry-run  —  show every file and command for /etc/rosplc/cell1.yaml
 
-rosplc service install cell1  —  write them, and start with the machine from now on
+rosplc service install cell1  —  write them, and start the bridge with the machine from now on
 
-rosplc service status  —  which bridges are services, and how they stand
+rosplc service status  —  list the bridges that are services, with their status
 
 rosplc service uninstall cell1  —  stop it, and remove its files; user, configuration and objects stay
 
-Installing and removing needs root. The service has a user of its own and no capabilities. Only a
-configuration with `realtime:` is given more: the limits that its settings need.
+Installing and removing needs root. The service runs as its own user, without capabilities. Only a
+configuration with `realtime:` gets more: the limits that its settings need.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ def command(
     dry_run: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Run a bridge as a service of systemd: install it, remove it, or see how it stands.
+    """Run a bridge as a systemd service: install it, remove it, or show its status.
 
     Options:
         what WHAT: `install`, `uninstall` or `status`.
         name: The service's name; the configuration file's by default.
         config FILE: The configuration; /etc/rosplc/NAME.yaml by default.
-        user NAME: Who runs the bridge; created if missing.
+        user NAME: The user that runs the bridge; created if missing.
         root DIR: Work in this folder instead of /, for images of machines.
         dry_run: Show what would be done.
     """
@@ -91,7 +91,7 @@ def command(
         return
     execute(steps, (lambda _: None) if as_json else say)
     if what == "install" and not as_json:
-        say(f"\nIt starts with the machine. To start it now: systemctl start {plan.unit}")
+        say(f"\nThe service starts with the machine. To start it now: systemctl start {plan.unit}")
 
 
 def _facts(step: Step) -> dict[str, object]:

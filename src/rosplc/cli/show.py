@@ -6,13 +6,13 @@ rosplc show /cmd_vel  —  the newest message of a topic
 
 rosplc show /cmd_vel --follow  —  every message from now on
 
-rosplc show /gripper/close --header  —  of a service or action: what was asked and answered last
+rosplc show /gripper/close --header  —  of a service or action: the last request and answer
 
 rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
 
-rosplc show --config cell.yaml  —  its classic topics too, which cannot describe themselves
+rosplc show --config cell.yaml  —  also its classic topics, which cannot describe themselves
 
-It needs no configuration otherwise, no ROS and no right to write, and nobody notices it.
+For channels, it needs no configuration. It needs no ROS and only read access, and affects no other program.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ def command(
     """Show the message in a topic's shared memory, or list all channels of this machine.
 
     Options:
-        topic: The topic, service or action as ROS writes it, such as /cmd_vel; all channels without it.
-        prefix NAME: The bridge's `prefix:`; for a topic the configuration's or `rosplc`, any for the
-            list.
+        topic: The ROS name of the topic, service or action, such as /cmd_vel; by default all channels.
+        prefix NAME: The bridge's `prefix:`; by default the configuration's or `rosplc`, or any for
+            the list.
         follow: Print messages until Ctrl-C.
-        count N: Print so many new messages, then end.
+        count N: Print this many new messages, then end.
         header: Also print the object's counters.
-        timeout SECONDS: Give up when no message comes for so long.
-        config FILE: A configuration: its prefix and its classic topics; without --prefix, rosplc.yaml
+        timeout SECONDS: Give up when no message arrives for this time.
+        config FILE: A configuration, for prefix and classic topics; without --prefix, rosplc.yaml
             in this folder by default.
         as_json: Print JSON.
     """
@@ -180,7 +180,7 @@ def _poll(news: Callable[[], int], count: int | None, timeout: float | None, wha
 
 def _require(printed: int, count: int | None, what: str) -> None:
     if count is not None and printed < count:
-        warn(f"rosplc: {printed} of {count} {what} came within the time")
+        warn(f"rosplc: {printed} of {count} {what} arrived within the time")
         raise typer.Exit(EXIT_FAILURE)
 
 
@@ -222,7 +222,7 @@ def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: s
         if not name or "/" in name or not (Path("/dev/shm") / name).is_file():
             return error
         what = f"{topic} has no channel, but there is a memory /dev/shm/{name}, perhaps of a classic topic"
-        remedy = "Such a memory cannot describe itself: name its configuration with --config FILE."
+        remedy = "Such a memory cannot describe itself: give its configuration with --config FILE."
         return ChannelError(error.code, what, where=error.where, remedy=remedy)
     what = f"no channel {topic} with the prefix {prefix or 'rosplc'}"
     remedy = f"There is one with the prefix {', '.join(others)}: add --prefix {others[0]}."

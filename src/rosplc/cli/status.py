@@ -2,16 +2,16 @@
 
 rosplc status  —  every channel, and what is wrong; in a folder with rosplc.yaml, the channels of its bridge
 
-rosplc status --config cell.yaml  —  the bridge of a configuration, judged by what it allows
+rosplc status --config cell.yaml  —  the bridge of a configuration, judged by its settings
 
 rosplc status --json | jq '.channels[] | select(.state != "ok") | .topic'
 
-rosplc status --follow  —  then what happens, line by line, until Ctrl-C
+rosplc status --follow  —  then print events, one per line, until Ctrl-C
 
-It looks for about a second, and where nobody beats for three of the beats that are promised: three seconds,
-as a rule, and longer for a bridge that is starting. It needs no configuration, no ROS and no right to write,
-and nobody notices it. The exit status is 0 only if there are channels and nothing is wrong with any of them,
-and 1 otherwise: it can guard a script. In JSON, `worst` is null where there are no channels.
+It watches for about a second; if a heartbeat is missing, for three of its periods, usually three seconds,
+and longer for a bridge that is starting. It needs no configuration and no ROS, only read access, and
+affects no other program. The exit status is 0 only if there are channels and nothing is wrong with any, and
+1 otherwise, for use in scripts. In JSON, `worst` is null where there are no channels.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def command(
     """Print one table of every channel of every bridge on this machine, and what is wrong.
 
     Options:
-        follow: Go on and print what happens until Ctrl-C.
+        follow: Keep running and print events until Ctrl-C.
         as_json: Print JSON.
     """
     with open_watch(prefix, config, stale_after, directory) as watch:

@@ -2,12 +2,12 @@
 
 rosplc top  —  every channel of this machine; Enter shows the message with live values, ? explains
 
-rosplc top --config cell.yaml  —  judged by what the configuration allows, with its classic topics
+rosplc top --config cell.yaml  —  judged by the configuration, with its classic topics
 
-rosplc top --interval 2  —  look every two seconds, over a slow connection
+rosplc top --interval 2  —  update every two seconds, over a slow connection
 
-It needs no configuration, no ROS and no right to write, and nobody notices it. It works over ssh from 60
-columns and 20 rows on; for scripts there is `rosplc status`. It needs `pip install 'rosplc[views]'`.
+It needs no configuration and no ROS, only read access, and affects no other program. It works over ssh, from
+60 columns and 20 rows; for scripts, use `rosplc status`. It needs `pip install 'rosplc[views]'`.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def command(
     interval: Annotated[float, Between(0.1, 60.0)] = 0.5,
     directory: Directory = "/dev/shm",
 ) -> None:
-    """Watch every channel of this machine in the terminal: rates, ages, losses, who lives, live values.
+    """Watch every channel of this machine in the terminal: rates, ages, losses, live peers, values.
 
     Options:
-        interval SECONDS: Time between two looks.
+        interval SECONDS: Time between two updates.
     """
     need_extra("textual", "views", "top")
     _check_terminal()

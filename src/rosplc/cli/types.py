@@ -8,13 +8,13 @@ rosplc types geometry_msgs/Twist  —  its fields, offsets and IEC types
 
 rosplc types sensor_msgs/JointState --limits name=6 --limits position=6
 
-rosplc types std_srvs/SetBool  —  a service: the same of its request and its response
+rosplc types std_srvs/SetBool  —  the request and response of a service
 
 rosplc types my_msgs/Part --path ./msg  —  a custom type
 
-rosplc types --path ~/ws/src  —  all types, those of a workspace too, and which of these cannot be used
+rosplc types --path ~/ws/src  —  all types, including those of a workspace, and which of these cannot be used
 
-rosplc types --from-topic /pose --save ./msg  —  a custom type of ROS 1, asked of a running publisher
+rosplc types --from-topic /pose --save ./msg  —  a custom type of ROS 1, from a running publisher
 
 rosplc types --distros  —  the bundled distributions
 """
@@ -54,16 +54,16 @@ def command(
     """List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
 
     Options:
-        name [TYPE]: A type, `package/Name` or `package/msg/Name` (`srv`, `action`), or a package; all
-            types without it.
-        distro NAME: The ROS distribution whose definitions hold, `noetic` is ROS 1; by default that of
+        name [TYPE]: A type, `package/Name` or `package/msg/Name` (`srv`, `action`), or a package; by
+            default all types.
+        distro NAME: The ROS distribution whose definitions apply; `noetic` is ROS 1; by default that of
             rosplc.yaml in this folder, with its `types.paths`, else jazzy.
-        path FOLDER: A folder with custom .msg, .srv and .action files; may be given several times.
+        path FOLDER: A folder with custom .msg, .srv and .action files; may be repeated.
         limits FIELD=N: A capacity: `string=40`, `sequence=8`, or a field's path (`request.FIELD` of a
             service); may be repeated.
-        from_topic TOPIC: Ask a publisher of this topic for the type and its definition (ROS 1,
+        from_topic TOPIC: Get the type and its definition from a publisher of this topic (ROS 1,
             `ROS_MASTER_URI`).
-        save FOLDER: With --from-topic: write the definitions there, as files for `types.paths`.
+        save FOLDER: With --from-topic: write the definitions to this folder, for `types.paths`.
         timeout SECONDS: With --from-topic: how long to wait for a publisher.
         distros: List the bundled distributions.
     """
@@ -78,9 +78,9 @@ def command(
     wire: dict[str, Any] = {}
     if from_topic is not None:
         if name is not None or path:
-            raise typer.BadParameter("takes the place of TYPE and --path", param_hint="--from-topic")
+            raise typer.BadParameter("cannot be used with TYPE or --path", param_hint="--from-topic")
         if not 0 <= timeout <= 3600:  # NaN neither
-            raise typer.BadParameter("is a number from 0 to 3600", param_hint="--timeout")
+            raise typer.BadParameter("must be a number from 0 to 3600", param_hint="--timeout")
         store, name, wire = _ask(from_topic, save, timeout)
     elif save is not None:
         raise typer.BadParameter("needs --from-topic", param_hint="--save")

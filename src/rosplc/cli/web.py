@@ -1,18 +1,18 @@
 """``rosplc web``: a page that shows this machine's channels in a browser.
 
-rosplc web  —  open the address that it prints, on this machine
+rosplc web  —  then open the printed address on this machine
 
-ssh -t -L 8480:localhost:8480 MACHINE rosplc web  —  the page of another machine, at the same address here
+ssh -t -L 8480:localhost:8480 MACHINE rosplc web  —  the page of another machine, at the same local address
 
-rosplc web --config cell.yaml  —  with what a configuration expects of its topics, and its classic topics
+rosplc web --config cell.yaml  —  judged by the configuration, with its classic topics
 
-rosplc web --allow-write  —  test messages may be written, by anyone who has the token that it prints
+rosplc web --allow-write  —  allow anyone who has the printed token to write test messages
 
-rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable in the network, with a token of your own
+rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable from the network, with your own token
 
-It needs no ROS, no configuration and no right to write, and nobody notices it. Who reaches the page sees
-every message that the user who started it may read. Nothing is encrypted: do not use --bind in a network
-that you do not trust. It needs `pip install 'rosplc[views]'`.
+It needs no configuration and no ROS, only read access, and affects no other program. Anyone who can open it
+sees every message that the user who started it may read. Nothing is encrypted: do not use --bind in an
+untrusted network. It needs `pip install 'rosplc[views]'`.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ def command(
     """Show this machine's channels in a browser, live, until Ctrl-C.
 
     Options:
-        port: The port; 0 takes a free one.
-        bind ADDRESS: Where to listen; `0.0.0.0` for every network.
-        name HOST: A name by which browsers reach it; may be repeated.
-        allow_write: Let who has the token write test messages.
-        token_file FILE: A file that holds the token; otherwise one is made and printed.
-        token_to_view: Ask for the token before anything is shown, on loopback too.
+        port: The port; 0 for any free port.
+        bind ADDRESS: The address to listen on; `0.0.0.0` for every network.
+        name HOST: A host name that browsers use for this server; may be repeated.
+        allow_write: Let users with the token write test messages.
+        token_file FILE: A file that contains the token; by default one is created and printed.
+        token_to_view: Require the token to view anything, also on loopback.
         as_json: Print address and token as JSON.
     """
     need_extra("aiohttp", "views", "web")
@@ -92,8 +92,8 @@ def command(
         sys.stdout.flush()
         if beyond:
             warn(
-                f"rosplc: warning: it listens at {address}, beyond this machine. Nothing is encrypted: "
-                "who can listen in on this network reads messages and token."
+                f"rosplc: warning: listening on {address}, beyond this machine. Nothing is encrypted: "
+                "anyone who can sniff this network can read messages and token."
             )
 
     log_to_stderr(logging.INFO)

@@ -83,10 +83,10 @@ def test_what_generate_would_refuse_is_a_warning(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("shm", "words"),
     [
-        ("{}", "the user who starts the bridge and that user's group, nobody else (mode 0660)"),
-        ("{group: root}", "the user who starts the bridge and group root, nobody else"),
-        ("{owner: 0, group: 0}", "user root and group root, nobody else"),
-        ('{mode: "0600"}', "the user who starts the bridge; that user's group not at all, nobody else"),
+        ("{}", "the user who starts the bridge and that user's group, no other user (mode 0660)"),
+        ("{group: root}", "the user who starts the bridge and group root, no other user"),
+        ("{owner: 0, group: 0}", "user root and group root, no other user"),
+        ('{mode: "0600"}', "the user who starts the bridge; that user's group not at all, no other user"),
         ('{mode: "0644"}', "that user's group reading only, everybody else reading only (mode 0644)"),
         ('{mode: "0666"}', "that user's group, everybody else reading and writing (mode 0666)"),
     ],
@@ -100,15 +100,15 @@ def test_who_may_open_the_objects_is_told(tmp_path: Path, shm: str, words: str) 
     ("entry", "ros", "words"),
     [
         ("to: plc, qos: sensor_data", "jazzy", "lost messages stay lost; at most 5 messages wait"),
-        ("to: plc", "jazzy", "what was published before the bridge started is not received"),
+        ("to: plc", "jazzy", "messages published before the bridge started are not received"),
         (
             "to: plc, latched: true",
             "jazzy",
-            "what publishers kept from before the bridge started is received",
+            "messages that publishers stored before the bridge started are received",
         ),
         ("to: ros, qos: {depth: 1}", "jazzy", "sent again; one message waits, the newest"),
-        ("to: ros", "jazzy", "a late subscriber gets the messages that were kept"),
-        ("to: ros, latched: false", "jazzy", "a late subscriber gets nothing from before"),
+        ("to: ros", "jazzy", "a late subscriber gets the stored messages"),
+        ("to: ros, latched: false", "jazzy", "a late subscriber gets no earlier messages"),
         ("to: plc", "noetic", "over TCP: nothing is lost while the connection lasts"),
     ],
 )
@@ -214,7 +214,7 @@ def test_actions_in_words_and_as_json(tmp_path: Path) -> None:
         "0 topics, 1 service and 2 actions",
         "another goal waits, 2 at most",
         "undecided rejected after 5s",
-        "without a PLC the goal goes on",
+        "without a PLC the goal continues",
         "action /b x called by the PLC",
     ):
         assert words in output

@@ -48,7 +48,7 @@ def test_check_explains_memory_and_lock(config: Path, name: str) -> None:
     assert code == 0
     assert f"memory {name} with the bare record" in out
     assert f"semaphore {name}, tried for 5ms, freed when it is held for 1s" in out
-    assert "a changed record is a message" in out
+    assert "each changed record is a message" in out
     assert "slots" not in out
     assert f"no lock guards the classic memory {name}.free" in out
     facts = json.loads(run("check", config, "--json")[1])["topics"]

@@ -146,7 +146,7 @@ def test_triggers_that_cannot_fire_are_named(shm_namespace: Namespace, tmp_path:
     with talking(shm_namespace):
         said = rosplc(*keep, *more, "--duration", "100ms").stderr
     assert "trigger '/nosuch.x > 1': there is no channel /nosuch yet" in said
-    assert "trigger '/b.data': /b is not among the topics" in said
+    assert "trigger '/b.data': /b is not recorded, so it cannot fire" in said
     assert "trigger '/a." not in said
 
 

@@ -386,7 +386,7 @@ def test_a_demo_without_a_terminal_ends_and_its_help_says_when(monkeypatch):
     assert CliRunner().invoke(app, ["demo"]).exit_code == 7
     (seconds,) = given
     words = " ".join(CliRunner().invoke(app, ["demo", "--help"]).output.replace("│", " ").split())
-    assert f"or for {seconds:g}s where the output is not a terminal" in words
+    assert f"or for {seconds:g}s if the output is not a terminal" in words
 
 
 def test_a_package_lists_its_types():

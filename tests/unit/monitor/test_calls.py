@@ -224,7 +224,7 @@ def test_show_follows_messages_and_gives_up_in_time(cell, use):
     made, prefix = use(), cell.namespace.prefix
     made.ask(data=True)
     done = rosplc("show", "/s", "--prefix", prefix, "--count", "1", "--timeout", "0.05", code=1).output
-    assert "0 of 1 messages came" in done
+    assert "0 of 1 messages arrived" in done
 
 
 def test_status_has_a_line_for_each_use(cell, use):
