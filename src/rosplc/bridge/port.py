@@ -46,7 +46,7 @@ class RepeatedWarnings:
         if len(self._seen) >= _MOST_KINDS:
             self._seen.clear()
         self._seen[kind] = (now_ns, 0)
-        self._logger.warning("%s%s", text, f" ({held} more since the last such line)" if held else "")
+        self._logger.warning("%s%s", text, f" (similar messages suppressed: {held})" if held else "")
 
 
 @dataclass(frozen=True)

@@ -291,9 +291,9 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
     if slots * (layout.size + 2 * LINE_SIZE) + HEADER_SIZE + MAX_DESCRIPTION_SIZE > MAX_OBJECT_SIZE:
         raise LayoutError(
             "LAY003",
-            f"{slots} slots of {layout.size} bytes exceed the 2 GiB that an object may have",
+            f"{slots} slots of {layout.size} bytes exceed the maximum object size of 2 GiB",
             where=config.source.place(("topics", topic, "slots")),
-            remedy="Lower the limits of the largest fields, or slots:.",
+            remedy="Lower the limits of the largest fields, or the number of slots.",
         )
     return TopicPlan(
         topic=topic,

@@ -87,7 +87,7 @@ def wrap(uuid: bytes, payload: bytes) -> bytes:
 def unwrap(payload: bytes) -> tuple[bytes, bytes]:
     """Return UUID, and goal or feedback; of a request for a result, an empty message. ROS008 if too short."""
     if len(payload) < 20:
-        raise BackendError("ROS008", f"a message of an action cannot be read: it has {len(payload)} bytes")
+        raise BackendError("ROS008", f"an action message has {len(payload)} bytes, but needs at least 20")
     return payload[4:20], payload[:4] + payload[20:]
 
 

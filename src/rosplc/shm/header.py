@@ -114,8 +114,8 @@ class Identity:
         if not fits:
             raise ValueError(
                 f"slot_count {slots}, record_size {record_size}, description_size {description_size}, "
-                f"object_size {identity.object_size}: slot_count is a power of two, 4 to {spec.MAX_SLOTS}, "
-                f"record_size 1 to {spec.MAX_RECORD_SIZE}, description_size 2 to "
+                f"object_size {identity.object_size}: slot_count must be a power of two from 4 to "
+                f"{spec.MAX_SLOTS}, record_size 1 to {spec.MAX_RECORD_SIZE}, description_size 2 to "
                 f"{spec.MAX_DESCRIPTION_SIZE}, object_size at most {spec.MAX_OBJECT_SIZE}"
             )
         return identity

@@ -28,7 +28,7 @@ def test_repeated_warnings_are_held_back_and_counted(caplog: pytest.LogCaptureFi
     assert [record.message for record in caplog.records] == [
         "first kind",
         "second kind",
-        "first kind (4 more since the last such line)",
+        "first kind (similar messages suppressed: 4)",
     ]
 
 
