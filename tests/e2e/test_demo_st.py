@@ -167,7 +167,7 @@ def test_without_blark_it_says_what_to_install():
     hide = "import sys; sys.modules['blark'] = None; " + START
     status, words = refused("st", program=("-c", hide))
     assert status == 1
-    assert "rosplc-st is missing" in words and "SYS001" in words
+    assert "rosplc-st, which translates Structured Text, is missing" in words and "SYS001" in words
     assert "pip install -e " in words and "-m /" not in words
 
 

@@ -36,7 +36,7 @@ def test_a_path_has_names_and_indices(text: str, steps: tuple[str | int, ...]) -
 )
 def test_what_is_no_path_is_refused(text: str) -> None:
     """Anything else is an error, and quickly."""
-    with pytest.raises(ValueError, match="not the path"):
+    with pytest.raises(ValueError, match="not a field path"):
         parse_path(text)
 
 
