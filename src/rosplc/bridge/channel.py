@@ -111,10 +111,10 @@ class ChannelPort(Port, Generic[_U]):
 
     def _status(self, now_ns: int, lost: int = 0, skipped: int = 0) -> PortStatus:
         gone = None if self._peer_gone_ns is None else max(0, now_ns - self._peer_gone_ns)
-        basis = skipped, lost, self.peer_alive, gone, self._tasks
+        alive, tasks = self.peer_alive, self._tasks
+        basis = skipped, lost, alive, gone, tasks
         before, status = self._known
         if basis != before:
-            alive, tasks = basis[2], basis[4]
             status = PortStatus(skipped=skipped, lost=lost, peer_alive=alive, peer_gone_ns=gone, tasks=tasks)
             self._known = basis, status
         return status
