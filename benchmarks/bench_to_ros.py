@@ -237,9 +237,9 @@ def heads(sizes: Sequence[int], rounds: int, seconds: float, plc: Path) -> dict[
     rows, before = [], None
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    codec = Codec(compute_layout(TypeStore.bundled("jazzy"), TYPE))
     for number in sizes:
         space, group = Namespace(f"bench-{secrets.token_hex(4)}"), Group()
-        codec = Codec(compute_layout(TypeStore.bundled("jazzy"), TYPE))
         found = []
         with ExitStack() as stack:
             stack.callback(remove_objects, space.prefix)
