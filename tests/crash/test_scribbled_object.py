@@ -49,7 +49,8 @@ def _round(namespace: Namespace, codec: Codec, dice: random.Random) -> tuple[int
     done = failed = 0
     with _own(namespace, Direction.TO_ROS, codec) as channel:
         group = _native.Group()
-        group.add_reader(channel.reader(), codec.plan, dice.randint(0, 1))
+        mine = channel.reader()
+        group.add_reader(mine, codec.plan, dice.randint(0, 1))
         with attach(namespace, _TOPIC, write=True) as attached, channel.path.open("r+b") as file:
             reader = attached.reader("observer", observe=False)
             writer = attached.writer(beat_ms=1)
@@ -63,7 +64,7 @@ def _round(namespace: Namespace, codec: Codec, dice: random.Random) -> tuple[int
                     lambda: reader.latest(out),
                     lambda: reader.peek(out),
                     lambda: reader.peek_wire(codec.plan),
-                    group.beat,
+                    lambda: _native.beat([mine, writer]),
                     lambda: group.wait(0, 0),
                     channel.snapshot,
                     channel.still_there,

@@ -337,8 +337,6 @@ class Group:
 
         2: take() only reports (index, b"", head, 0, 0, 0); what is new is taken with the reader itself.
         """
-    def add_writer(self, writer: Writer, /) -> int:
-        """Add a writer, for beat(), and return its index."""
     def remove(self, index: int, /) -> None:
         """Let go of a channel. Its index may be given out again. Raises IndexError."""
     def divert(self, index: int, capsule: object, /) -> None:
@@ -359,5 +357,3 @@ class Group:
         taken and cannot be encoded; a ChannelError a channel that must be opened again: it is reported
         once and quiet until removed.
         """
-    def beat(self) -> None:
-        """Beat all lines."""

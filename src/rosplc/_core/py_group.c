@@ -32,8 +32,7 @@ typedef struct {
 static const uint32_t NO_HEAD;
 
 typedef struct {
-    ReaderObject *reader; /* either this */
-    WriterObject *writer; /* or this, or neither: a free entry */
+    ReaderObject *reader; /* NULL: a free entry */
     PyObject *plan_object;
     const rp_plan *plan;
     PyObject *capsule; /* NULL, or what holds the sink that messages go into */
@@ -98,10 +97,7 @@ static void group_drop(GroupObject *self, Py_ssize_t index)
     pthread_mutex_unlock(&self->mutex);
     if (entry.reader)
         ch_region_unpin(entry.reader->owner);
-    if (entry.writer)
-        ch_region_unpin(entry.writer->owner);
     Py_XDECREF((PyObject *)entry.reader);
-    Py_XDECREF((PyObject *)entry.writer);
     Py_XDECREF(entry.plan_object);
     Py_XDECREF(entry.capsule);
 }
@@ -123,7 +119,7 @@ static void group_dealloc(GroupObject *self)
 static PyObject *group_add(GroupObject *self, Entry entry)
 {
     Py_ssize_t index = 0;
-    while (index < self->count && (self->entries[index].reader || self->entries[index].writer))
+    while (index < self->count && self->entries[index].reader)
         index++;
     if (index == self->room) {
         Py_ssize_t room = self->room ? 2 * self->room : 16;
@@ -151,12 +147,12 @@ static PyObject *group_add(GroupObject *self, Entry entry)
         PyMem_Free(before);
         PyMem_Free(known);
     }
-    Py_INCREF(entry.reader ? (PyObject *)entry.reader : (PyObject *)entry.writer);
+    Py_INCREF((PyObject *)entry.reader);
     Py_XINCREF(entry.plan_object);
-    ch_region_pin(entry.reader ? entry.reader->owner : entry.writer->owner);
+    ch_region_pin(entry.reader->owner);
     pthread_mutex_lock(&self->mutex);
     self->entries[index] = entry;
-    self->watches[index].head = entry.reader ? &entry.reader->owner->region.header->writer.head : &NO_HEAD;
+    self->watches[index].head = &entry.reader->owner->region.header->writer.head;
     self->watches[index].quiet = 0;
     if (index == self->count)
         self->predictor.count = (uint32_t)++self->count;
@@ -208,22 +204,9 @@ static PyObject *group_add_reader(GroupObject *self, PyObject *args)
                                    .limit = mode == 1 ? limit : 1});
 }
 
-static PyObject *group_add_writer(GroupObject *self, PyObject *object)
-{
-    int is_writer = PyObject_IsInstance(object, (PyObject *)ch_writer_type);
-    WriterObject *writer = (WriterObject *)object;
-    if (is_writer < 0)
-        return NULL;
-    if (!is_writer)
-        return PyErr_Format(PyExc_TypeError, "add_writer() takes a Writer");
-    if (group_settled(self) || ch_region_usable(writer->owner))
-        return NULL;
-    return group_add(self, (Entry){.writer = writer});
-}
-
 static int group_has(GroupObject *self, Py_ssize_t index)
 {
-    if (index >= 0 && index < self->count && (self->entries[index].reader || self->entries[index].writer))
+    if (index >= 0 && index < self->count && self->entries[index].reader)
         return 1;
     PyErr_Format(PyExc_IndexError, "the group has no channel %zd", index);
     return 0;
@@ -507,19 +490,6 @@ static PyObject *group_take(GroupObject *self, PyObject *unused)
     return Py_BuildValue("(NN)", messages, faults);
 }
 
-static PyObject *group_beat(GroupObject *self, PyObject *unused)
-{
-    (void)unused;
-    for (Py_ssize_t i = 0; i < self->count; i++) {
-        Entry *entry = &self->entries[i];
-        if (entry->reader && !entry->reader->owner->closed)
-            rosplc_reader_beat(&entry->reader->reader);
-        if (entry->writer && !entry->writer->owner->closed && !entry->writer->released)
-            rosplc_writer_beat(&entry->writer->writer);
-    }
-    Py_RETURN_NONE;
-}
-
 /* Beats for a Reader or a Writer that still can, or for a tuple of them. -1 with TypeError for another object. */
 static int beat_one(PyObject *user)
 {
@@ -573,7 +543,6 @@ static PyMethodDef methods[] = {
     {"add_reader", (PyCFunction)group_add_reader, METH_VARARGS,
      "add_reader(reader, plan, mode=0, limit=64) -> index; mode 0 newest, 1 in order, 2 only report;"
      " at most limit per take()."},
-    {"add_writer", (PyCFunction)group_add_writer, METH_O, "add_writer(writer) -> index, for beat()."},
     {"remove", (PyCFunction)group_remove, METH_VARARGS, "remove(index): let go of a channel."},
     {"divert", (PyCFunction)group_divert, METH_VARARGS,
      "divert(index, capsule): take() puts messages into this sink, and returns those that it does not take."},
@@ -582,7 +551,6 @@ static PyMethodDef methods[] = {
     {"wake", (PyCFunction)group_wake, METH_NOARGS, "Make wait() return at its next tick; from any thread."},
     {"take", (PyCFunction)group_take, METH_NOARGS,
      "take() -> ([(index, wire, sequence, flags, stamp_ns, stamp_clock)], [(index, exception)])."},
-    {"beat", (PyCFunction)group_beat, METH_NOARGS, "Beat all lines."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -199,14 +199,12 @@ def test_remove_and_reuse(pairs: list[_Pair], codec: Codec) -> None:
         group.remove(-1)
 
 
-def test_beat(pairs: list[_Pair], codec: Codec) -> None:
+def test_beat(pairs: list[_Pair]) -> None:
     """One call beats the lines of all readers and writers."""
-    group = _native.Group()
     channel, attached = pairs[0]
-    group.add_reader(channel.reader(), codec.plan)
-    group.add_writer(attached.writer())
+    reader, writer = channel.reader(), attached.writer()
     before = channel.snapshot()
-    group.beat()
+    _native.beat([reader, writer])
     after = channel.snapshot()
     assert after.writer.beat == before.writer.beat + 1
     assert after.readers[0].beat == before.readers[0].beat + 1
@@ -248,13 +246,15 @@ def test_all_beat_in_one_call(pairs: list[_Pair], codec: Codec) -> None:
 def test_closed_channels_are_quiet(pairs: list[_Pair], codec: Codec) -> None:
     """A channel closed while it is in a group is quiet, and its memory outlives the group's looks."""
     group = _native.Group()
-    for channel, attached in pairs:
-        group.add_reader(channel.reader(), codec.plan)
+    readers = [channel.reader() for channel, _ in pairs]
+    for (channel, attached), reader in zip(pairs, readers, strict=True):
+        group.add_reader(reader, codec.plan)
         attached.writer().publish(_record(codec, 1.0))
         channel.close()
     assert group.wait(_TICK, 0) == 0
     assert group.take() == ([], [])
-    group.beat()
+    _native.beat([*readers])
+    del readers, reader
     del group
     gc.collect()
 
