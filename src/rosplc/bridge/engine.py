@@ -11,6 +11,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -131,9 +132,9 @@ class Bridge:
         self._warnings += getattr(self.backend, "warnings", ())
         self._check_types(self.backend)
         duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
+        seen = partial(self.status, _JUST_NOW_NS)
         own = self._own = OwnTopics(
-            *(self.project, self._ros, self.backend, lambda: self.status(_JUST_NOW_NS), self._clock, stack),
-            owned=self._owns_backend,
+            self.project, self._ros, self.backend, seen, self._clock, stack, owned=self._owns_backend
         )
         self._warnings += own.warnings
         # Until here nothing in shared memory has been touched.
