@@ -79,6 +79,7 @@ def diagnostic_status(told: _Told, bridge: str) -> dict[str, Any]:
 
 def _rest(entry: dict[str, Any], *, cdr: bool) -> bytes:
     """Return an entry as the message has it behind its level, in CDR from a boundary of 4 bytes on."""
+    # fields.pack() writes the same bytes in ten times the time, and each active topic changes each second.
     first = [_text(entry[key], cdr) for key in ("name", "message", "hardware_id")]
     values = [_text(text, cdr) for pair in entry["values"].items() for text in pair]
     data = b"".join((*first, struct.pack("<I", len(entry["values"])), *values))
