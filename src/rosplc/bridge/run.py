@@ -30,6 +30,7 @@ _log = logging.getLogger("rosplc.run")
 _FILES = 65536
 _SUMMED = ("received", "published", "lost", "refused")
 _SAME_SIGNAL_S = 0.2
+_RECENT_NS = 1_000_000_000  # how old a topic's state in a status line may be
 _LOOK_AGAIN_S = 0.1  # a signal's handler does not end a select early
 
 
@@ -114,7 +115,7 @@ def run_until_signal(
             while not stop.is_set():
                 items = news.wait(seconds if report is not None else None)
                 if not items and report is not None:
-                    report(bridge.status())
+                    report(bridge.status(_RECENT_NS))
                 for item in items:
                     if isinstance(item, str):
                         raise BackendError("ROS015", item)
