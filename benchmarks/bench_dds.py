@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from benchmarks import measure
 from benchmarks.bench_bridge import LOAD, begin, load_config
 from benchmarks.peers import STRING, TYPE, names
-from benchmarks.processes import RosGraph, bridge, cpu_seconds, environment, peers, ros_domain
+from benchmarks.processes import RosGraph, bridge, cpu_seconds, environment, peers, pss_mb, ros_domain
 from rosplc.demo.processes import remove_objects
 from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
@@ -153,7 +153,7 @@ def carrying(
 
 
 def loaded(name: str, over: OverDds, topics: int, rate: int, seconds: float) -> dict[str, float]:
-    """Carry a load once; return the processor's time per message in µs, and what was lost."""
+    """Carry a load once; return the processor's time per message in µs, what was lost, and memory in MB."""
     prefix, count = f"bench-{secrets.token_hex(4)}", round(rate * seconds)
     ends = names("in", topics), names("out", topics)
     with over.graph() as graph:
@@ -170,12 +170,13 @@ def loaded(name: str, over: OverDds, topics: int, rate: int, seconds: float) -> 
             sent = [each.receive_json()["sent"] for each in (plc, ros)]
             time.sleep(1.0)
             user, system = (now - then for now, then in zip(cpu_seconds(pid), before, strict=True))
+            memory = pss_mb(pid, "Anon", "File")  # without the objects, whose size the load decides
             results = [each.ask("stop") for each in (ros, plc)]
     tallies = [tally for result in results for tally in result["seen"].values()]
     arrived = sum(tally["received"] for tally in tallies)
     lost = topics * sum(sent) - arrived + sum(tally["wrong"] for tally in tallies)
     found = {"user": user, "system": system, "both": user + system}
-    return {key: 1e6 * value / arrived for key, value in found.items()} | {"lost": lost}
+    return {key: 1e6 * value / arrived for key, value in found.items()} | {"lost": lost, "memory": memory}
 
 
 def ages(over: OverDds, messages: dict[int, int]) -> dict[int, dict[str, list[float]]]:
@@ -275,6 +276,8 @@ def run(
     ]
     waiting = f"{over.waiting} towards the PLC, and look every 1 ms towards ROS; the PLC scans every 1 ms"
     facts = {f"lost, {name}": sum(one["lost"] for one in kept) for name, kept in found.items()}
+    for name, kept in found.items():
+        facts[f"memory, {name}, MB (PSS)"] = round(statistics.median(one["memory"] for one in kept), 1)
     title = f"{topics} topics x {rate} Hz each way, CPU"
     return measure.report([measure.table(title, "µs per message", waiting, rows, facts), latency], before)
 

@@ -11,7 +11,6 @@ DDS fills the queue of a topic above 60 Hz, though every message arrives: --queu
 
 from __future__ import annotations
 
-import re
 import resource
 import secrets
 import subprocess
@@ -27,7 +26,7 @@ from benchmarks import measure
 from benchmarks.bench_bridge import begin, load_config
 from benchmarks.bench_dds import interval
 from benchmarks.peers import STRING, TYPE
-from benchmarks.processes import RosGraph, bridge, environment, peers, ros_domain
+from benchmarks.processes import RosGraph, bridge, environment, peers, pss_mb, ros_domain
 from rosplc import attach
 from rosplc.codec import Codec
 from rosplc.layout import Limits, compute_layout
@@ -61,14 +60,6 @@ def processor_ms(*arguments: str) -> float:
     subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return 1e3 * (after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
-
-
-def pss_mb(pid: int) -> float:
-    """Return a process's proportional share of memory."""
-    text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
-    found = re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)
-    assert found is not None
-    return int(found[1]) / 1024
 
 
 @contextmanager

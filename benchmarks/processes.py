@@ -157,6 +157,13 @@ def cpu_seconds(pid: int) -> tuple[float, float]:
     return int(fields[11]) / _TICKS, int(fields[12]) / _TICKS
 
 
+def pss_mb(pid: int, *kinds: str) -> float:
+    """Return a process's proportional share of memory; of some kinds only, such as ``Anon`` and ``File``."""
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
+    wanted = "|".join(f"_{kind}" for kind in kinds)
+    return sum(map(int, re.findall(rf"^Pss(?:{wanted}):\s+(\d+) kB", text, re.MULTILINE))) / 1024
+
+
 def share(pids: Mapping[str, int], seconds: float, rounds: int) -> dict[str, list[float]]:
     """Return the cores that processes use, in percent, round by round: user, system and their sum."""
     found: dict[str, list[float]] = {}

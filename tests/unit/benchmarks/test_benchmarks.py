@@ -138,7 +138,9 @@ def test_the_benchmark_beside_a_node_in_c() -> None:
     cpu, latency = rows(report).values()
     assert {"C node", "C node, user", "bridge", "bridge, system"} <= set(cpu)
     assert set(latency) == {"C node, 100 Hz", "bridge, 100 Hz"}
-    assert report["tables"][0]["facts"] == {"lost, C node": 0, "lost, bridge": 0}
+    facts = report["tables"][0]["facts"]
+    assert facts["lost, C node"] == facts["lost, bridge"] == 0
+    assert 0 < facts["memory, C node, MB (PSS)"] < facts["memory, bridge, MB (PSS)"]
 
 
 def test_the_benchmark_towards_ros() -> None:
@@ -166,7 +168,9 @@ def test_the_benchmark_beside_a_node_of_roscpp() -> None:
     cpu, latency = rows(report).values()
     assert {"C++ node", "C++ node, user", "bridge", "bridge, system"} <= set(cpu)
     assert set(latency) == {"C++ node, 100 Hz", "bridge, 100 Hz"}
-    assert report["tables"][0]["facts"] == {"lost, C++ node": 0, "lost, bridge": 0}
+    facts = report["tables"][0]["facts"]
+    assert facts["lost, C++ node"] == facts["lost, bridge"] == 0
+    assert 0 < facts["memory, C++ node, MB (PSS)"] < facts["memory, bridge, MB (PSS)"]
 
 
 def test_the_benchmark_of_start_and_memory() -> None:
