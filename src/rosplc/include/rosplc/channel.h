@@ -1,7 +1,7 @@
 /* The channel of spec/shm-format.md: header-only, C11 and C++17, without an operating system or an allocator.
  *
- * Parts, each on top of the one before: numbers and format (the drawing), sequence, identity, region, writer,
- * reader, call. posix.h opens and maps an object; a runtime with other means fills a rosplc_region itself. */
+ * Parts, each based on the previous ones: numbers and format (the memory layout), sequence, identity, region, writer,
+ * reader, call. posix.h opens and maps an object; a runtime that maps memory itself fills in a rosplc_region. */
 #ifndef ROSPLC_CHANNEL_H
 #define ROSPLC_CHANNEL_H
 

@@ -35,9 +35,9 @@ static inline int rosplc_compare_and_swap(uint32_t *word, uint32_t expected, uin
     return __atomic_compare_exchange_n(word, &expected, desired, 0, __ATOMIC_SEQ_CST, __ATOMIC_RELAXED);
 }
 
-/* Hints: to fetch the line at `line` for writing, and to compute with `value` as if it were unknown. GCC's own
- * builtin fetches for writing only where the machine is known to have PREFETCHW; every x86-64 has it, or takes it
- * for no operation. A model checker defines ROSPLC_PLAIN: no assembler. */
+/* Hints: to prefetch the line at `line` for writing, and to compute with `value` as if it were unknown. GCC's builtin
+ * prefetches for writing only if the target is known to have PREFETCHW; every x86-64 has it, or executes it as a
+ * no-op. A model checker defines ROSPLC_PLAIN, which avoids assembler. */
 #if defined(ROSPLC_PLAIN)
 #define rosplc_prefetch_for_writing(line) ((void)(line))
 #define ROSPLC_OPAQUE(value) ((void)0)
@@ -60,8 +60,8 @@ static inline void rosplc_fence_acquire(void)
 
 /* A release fence that also orders the stores of a copy of `size` bytes. On x86 plain stores need no instruction,
  * but a C library copies large blocks with non-temporal stores, which no plain store orders: they might overtake
- * the previous store to `head`. The library chooses them for the processor it finds, so code compiled for one
- * without SSE needs the order as well; a locked instruction gives it there. */
+ * the previous store to `head`. The library selects them at run time, so code compiled for a processor without SSE
+ * needs this order as well; there, a locked instruction provides it. */
 static inline void rosplc_fence_release(uint32_t size)
 {
 #if defined(ROSPLC_PLAIN) || !(defined(__x86_64__) || defined(__i386__))
@@ -76,13 +76,13 @@ static inline void rosplc_fence_release(uint32_t size)
     __atomic_thread_fence(__ATOMIC_RELEASE);
 }
 
-/* Orders stores before it and loads behind it, too (M26). */
+/* Also orders earlier stores before later loads (M26). */
 static inline void rosplc_fence_full(void)
 {
     __atomic_thread_fence(__ATOMIC_SEQ_CST);
 }
 
-/* The fences of sections 7 and 11 by their names. A model checker takes one out by defining its macro as nothing. */
+/* The fences of sections 7 and 11 by name. A model checker removes one by defining its macro as empty. */
 #ifndef ROSPLC_F1
 #define ROSPLC_F1() rosplc_fence_release(0)
 #endif
@@ -109,14 +109,14 @@ static inline void rosplc_fence_full(void)
 #endif
 
 /* The copy of a record into or out of a slot. It races on purpose: a reader may copy bytes that the writer is
- * changing. For the C language that is a data race, undefined; it is safe here because
- *   - the copy goes to private memory and nothing is decided by its content before the check after F4, which
+ * changing. In C this is a data race and thus undefined behaviour; it is safe here because
+ *   - the copy goes to private memory, and no decision depends on its content before the check after F4, which
  *     rejects every copy that a writer may have touched (M12);
  *   - the compiler cannot move the copy across F3 and F4, F5 and F6, or use it twice: the fences order atomic
  *     accesses to the same object on either side, and the slot is memory that other processes may change;
- *   - a torn byte is still a byte: on every supported machine a racing load gives some value and no trap.
- * Word-wise atomic accesses would be defined, and several times slower. A checker of memory models defines
- * this macro as such accesses, and so proves the same code without the race. */
+ *   - a racing load yields some value and never traps on any supported machine.
+ * Word-wise atomic accesses would be well defined, but several times slower. A memory-model checker defines
+ * this macro as such accesses, and thus verifies the same code without the race. */
 #ifndef ROSPLC_COPY_RECORD
 #define ROSPLC_COPY_RECORD(to, from, size) memcpy((to), (from), (size))
 #endif

@@ -1,7 +1,7 @@
 /* Validation of an object's identity: spec/shm-format.md, sections 2 and 9, in the order given there.
  *
- * The caller passes a private copy of the first 512 bytes and the object's size; what agrees becomes a
- * rosplc_geometry, the only geometry that is ever used afterwards (M3). */
+ * The caller passes a private copy of the first 512 bytes and the object's size. The validated values become a
+ * rosplc_geometry, the only geometry that is used afterwards (M3). */
 #ifndef ROSPLC_IDENTITY_H
 #define ROSPLC_IDENTITY_H
 
@@ -12,7 +12,7 @@ typedef struct {
     uint32_t layout_lo, layout_hi, generation, direction, kind;
 } rosplc_geometry;
 
-/* CRC-32 (ISO-HDLC, as zlib's), bit by bit: it runs over 104 bytes, once per attach. */
+/* CRC-32 (ISO-HDLC, as in zlib), bit by bit: it runs over 104 bytes, once per attach. */
 static inline uint32_t rosplc_crc32(uint32_t crc, const uint8_t *data, size_t size)
 {
     crc = ~crc;
@@ -48,15 +48,15 @@ static inline rosplc_error rosplc_geometry_check(const rosplc_geometry *g, uint6
     return available < g->object_size ? ROSPLC_ERROR_TRUNCATED : ROSPLC_OK;
 }
 
-/* Whether it is the kind of a topic's object, or of one of a service's or action's (section 11.1). */
+/* Whether `kind` is that of a topic's, service's or action's object (section 11.1). */
 static inline int rosplc_kind_known(uint32_t kind)
 {
     return kind == ROSPLC_KIND_TOPIC || kind == ROSPLC_KIND_REQUEST || kind == ROSPLC_KIND_RESPONSE
            || kind == ROSPLC_KIND_GOAL || kind == ROSPLC_KIND_RESULT || kind == ROSPLC_KIND_FEEDBACK;
 }
 
-/* Checks 103 to 111 on the first 512 bytes; 0 means that `out` is filled. `kind` is ROSPLC_KIND_TOPIC or another one,
- * 0 accepts all; `direction` 0 accepts both. */
+/* Checks 103 to 111 on the first 512 bytes; 0 means that `out` is filled. `kind` is ROSPLC_KIND_TOPIC or another kind;
+ * 0 accepts all kinds. `direction` 0 accepts both. */
 static inline rosplc_error rosplc_identity_check_kind(const uint8_t *first, uint64_t size, uint32_t kind,
                                                       uint32_t direction, rosplc_geometry *out)
 {

@@ -10,8 +10,8 @@
 
 #define FIRST_BACK_OFF_MS 10u
 #define LONGEST_BACK_OFF_MS 2000u
-#define REOPEN_AFTER_MS 1000u /* a peer silent for so long: another object may be at the name */
-#define LEFT_BEHIND_MS 1000u  /* a caller inside for so long was ended by a fault, and never comes out */
+#define REOPEN_AFTER_MS 1000u /* if a peer is silent this long, another object may have its name */
+#define LEFT_BEHIND_MS 1000u  /* a caller inside this long was ended by a fault, and never leaves */
 #define UNKNOWN_BEAT_MS 1000u
 #define DIRECTORY "/dev/shm/"
 
@@ -105,7 +105,7 @@ rosplc_error rosplc_plc_name(char name[ROSPLC_MAX_NAME + 1], const char *prefix,
     return object_name(name, prefix, ROSPLC_KIND_TOPIC, topic, "");
 }
 
-/* ---- what all blocks do */
+/* ---- all blocks */
 
 static void init(rosplc_plc_channel *c, const char *prefix, const char *topic, uint32_t layout_lo, uint32_t layout_hi,
                  uint32_t record_size)
@@ -121,8 +121,8 @@ static void init(rosplc_plc_channel *c, const char *prefix, const char *topic, u
     c->back_off = FIRST_BACK_OFF_MS;
 }
 
-/* Takes the time and finds a second caller. 0: another task is inside. A caller that a fault has taken out of the block
- * (siglongjmp) is replaced after a while. */
+/* Stores the time and detects a second caller. 0: another task is inside. A caller that a fault has taken out of the
+ * block (siglongjmp) is ignored after LEFT_BEHIND_MS. */
 static int enter(rosplc_plc_channel *c, uint32_t now_ms)
 {
     if (__atomic_exchange_n(&c->inside, 1, __ATOMIC_ACQUIRE)
@@ -153,7 +153,7 @@ static void postpone(rosplc_plc_channel *c)
     c->back_off = c->back_off * 2 < LONGEST_BACK_OFF_MS ? c->back_off * 2 : LONGEST_BACK_OFF_MS;
 }
 
-/* A number for a claim: not 0, and not one that another block draws. */
+/* A number for a claim: nonzero, and different from those of other blocks. */
 static uint32_t draw(rosplc_plc_channel *c)
 {
     const uint32_t words[3] = {c->now, c->generation, (uint32_t)(uintptr_t)c};
@@ -185,8 +185,8 @@ static rosplc_error open_object(rosplc_plc_channel *c, uint32_t direction)
     return error;
 }
 
-/* 1: the object is open, live and of the expected layout. Before any access, at every call. `release` gives claims
- * back before the mapping goes. */
+/* 1: the object is open, live and of the expected layout. Called before any access, in every call. `release` releases
+ * claims before the object is unmapped. */
 static int attach(rosplc_plc_channel *c, uint32_t direction, void (*release)(rosplc_plc_channel *))
 {
     rosplc_error error;
@@ -201,7 +201,7 @@ static int attach(rosplc_plc_channel *c, uint32_t direction, void (*release)(ros
         release(c);
         unmap(c);
         c->error = error;
-        c->back_off = FIRST_BACK_OFF_MS; /* its successor is opened soon */
+        c->back_off = FIRST_BACK_OFF_MS; /* try to open its successor soon */
         postpone(c);
         return 0;
     }
@@ -221,7 +221,7 @@ static int attach(rosplc_plc_channel *c, uint32_t direction, void (*release)(ros
     c->attached = c->opened = 1;
     c->opened_another = generation != c->generation;
     c->generation = generation;
-    /* The object of a silent bridge is opened again and again; the bridge is silent until it beats. */
+    /* A silent bridge's object is opened repeatedly; the bridge counts as silent until it beats. */
     if (c->opened_another || c->error != ROSPLC_ERROR_PEER_SILENT)
         c->error = ROSPLC_OK;
     c->back_off = FIRST_BACK_OFF_MS;
@@ -239,7 +239,7 @@ static int watch(rosplc_plc_channel *c, uint32_t beat, uint32_t head, uint32_t b
 {
     uint32_t limit = rosplc_silence_ms(beat_ms);
     if (beat != c->peer_beat || head != c->peer_head) {
-        c->peer_alive = c->peer_beat != 0; /* the first value seen is no sign of life yet */
+        c->peer_alive = c->peer_beat != 0; /* the first value seen is not yet a sign of life */
         c->silent = 0;
         c->peer_beat = beat;
         c->peer_head = head;
@@ -262,7 +262,7 @@ static int watch(rosplc_plc_channel *c, uint32_t beat, uint32_t head, uint32_t b
     return 1;
 }
 
-/* Watches another's claim (M6, M9): how many ms its holder may still be silent; 0: it may be replaced. */
+/* Watches another program's claim (M6, M9). Returns how many ms it may still be silent; 0: it may be replaced. */
 static uint32_t others_time(rosplc_plc_channel *c, uint32_t claim, uint32_t beat, uint32_t head, uint32_t beat_ms)
 {
     uint32_t limit = rosplc_silence_ms(beat_ms);
@@ -296,7 +296,7 @@ static void release_reader(rosplc_plc_channel *c)
         rosplc_reader_release(&r->reader);
 }
 
-/* The same object opened again: what came in between is still new. Another: only its state is shown (M14). */
+/* After reopening the same object, messages published meanwhile are new. Of another, only the state is shown (M14). */
 static void begin_object(rosplc_plc_reader *r)
 {
     rosplc_plc_channel *c = &r->channel;
@@ -311,7 +311,7 @@ static void begin_object(rosplc_plc_reader *r)
     }
 }
 
-/* Whether the messages of an object are acted on: requests and goals. */
+/* Whether an object's messages are acted on: those of requests and goals are. */
 static int acts(const rosplc_plc_channel *c)
 {
     return c->kind == ROSPLC_KIND_REQUEST || c->kind == ROSPLC_KIND_GOAL;
@@ -326,7 +326,7 @@ static int claim_this(rosplc_plc_reader *r, uint32_t index, uint32_t expected)
     return rosplc_reader_claim(&r->reader, index, expected, draw(c), c->beat_ms, 0) == ROSPLC_OK;
 }
 
-/* Claims a line, for those that ask who reads; reading a topic does not depend on it (M9). Others have line 0 alone. */
+/* Claims a line, to show who reads; reading a topic does not depend on it (M9). Other kinds use only line 0. */
 static void claim_line(rosplc_plc_reader *r)
 {
     rosplc_plc_channel *c = &r->channel;
@@ -338,7 +338,7 @@ static void claim_line(rosplc_plc_reader *r)
         if (rosplc_load(&c->region.header->reader[i].claim) == 0 && claim_this(r, i, 0))
             return;
     }
-    /* None was free: one is watched at a time; if its holder lives, the next one is. */
+    /* None was free. Watch one at a time; if its holder is alive, watch the next. */
     line = &c->region.header->reader[r->watched];
     claim = rosplc_load(&line->claim);
     if (claim != c->other_claim || rosplc_load(&line->beat) != c->other_beat) {
@@ -365,11 +365,11 @@ static int take(rosplc_plc_reader *r)
     if (c->kind != ROSPLC_KIND_TOPIC && !line)
         return 0;
     if (r->show && rosplc_load(&c->region.header->writer.head) != r->reader.last)
-        r->show = 0; /* a new message has come, with more than the state before */
+        r->show = 0; /* a new message replaces the earlier state */
     show = r->show;
     t = rosplc_take_start(show ? ROSPLC_TAKE_PEEK : r->in_order ? ROSPLC_TAKE_NEXT : ROSPLC_TAKE_NEWEST);
     if (acts(c))
-        r->reader.line = NULL; /* begin() tells what was taken */
+        r->reader.line = NULL; /* begin() stores `taken` */
     got = rosplc_take_record(&r->reader, &t, r->record);
     r->reader.line = line;
     if (!got)
@@ -389,7 +389,7 @@ static int take(rosplc_plc_reader *r)
     r->substituted = (t.flags & ROSPLC_FLAG_SUBSTITUTED) != 0;
     if (show)
         return 1;
-    /* The mark may be on a skipped message; a change of the claim and the silence are seen nevertheless. */
+    /* The mark may be on a skipped message; a changed claim and silence are detected nevertheless. */
     epoch = rosplc_load(&c->region.header->writer.writer_epoch);
     r->recovered = r->first || r->stale || !r->ever_new || (epoch && epoch != r->writer);
     if (epoch)
@@ -400,7 +400,7 @@ static int take(rosplc_plc_reader *r)
     return 1;
 }
 
-/* Ends a call: age, staleness, beat; `got` as take() returned it. */
+/* Ends a call: age, staleness, beat; `got` is the result of take(). */
 static int end_read(rosplc_plc_reader *r, int got)
 {
     rosplc_plc_channel *c = &r->channel;
@@ -417,7 +417,7 @@ static int end_read(rosplc_plc_reader *r, int got)
             rosplc_store(&line->taken, r->reader.last);
         rosplc_store(&line->lost, r->lost);
     }
-    /* At every scan, so that a state found at the start does not show. */
+    /* In every scan, so that a state found at the start is not shown. */
     if (r->stale && (r->on_stale == ROSPLC_PLC_ZERO || (r->on_stale == ROSPLC_PLC_SAFE && r->safe))) {
         if (r->on_stale == ROSPLC_PLC_ZERO)
             memset(r->record, 0, c->record_size);
@@ -452,7 +452,7 @@ int rosplc_plc_read(rosplc_plc_reader *r, uint32_t now_ms)
                 c->error = ROSPLC_ERROR_CLAIMED;
             else if (c->error == ROSPLC_ERROR_CLAIMED && rosplc_reader_owned(&r->reader))
                 c->error = ROSPLC_OK;
-            if (c->peer_alive) /* what a dead bridge knew last tells nothing about now */
+            if (c->peer_alive) /* a dead bridge's last count is out of date */
                 r->sources = rosplc_load(&writer->sources);
             r->source_present = r->sources != 0 && r->sources != ROSPLC_UNKNOWN;
             got = take(r);
@@ -467,7 +467,7 @@ int rosplc_plc_next(rosplc_plc_reader *r, uint32_t now_ms)
     int got = 0;
     if (!enter(c, now_ms))
         return 0;
-    c->silent += c->elapsed; /* a call that watches no beat must not swallow its time */
+    c->silent += c->elapsed; /* this call does not watch the beat, but its time counts */
     if (r->in_order && c->attached && r->taken < r->max_per_scan) {
         r->is_new = r->recovered = 0;
         got = rosplc_region_check(&c->region) == ROSPLC_OK && take(r);
@@ -492,7 +492,7 @@ void rosplc_plc_writer_init(rosplc_plc_writer *w, const char *prefix, const char
     w->sinks = ROSPLC_UNKNOWN;
 }
 
-/* Whether the bridge has taken a message of the newest call (M26); what was taken stays so. */
+/* Whether the bridge has taken a message of the newest call (M26). Once set, `begun` stays set. */
 static void look(rosplc_plc_writer *w)
 {
     if (w->channel.attached && w->first && !w->begun)
@@ -508,7 +508,7 @@ static void release_writer(rosplc_plc_channel *c)
     w->ready = 0;
 }
 
-/* One writer, claimed (M6). */
+/* Claims the channel: one writer at a time (M6). */
 static int claim(rosplc_plc_writer *w)
 {
     rosplc_plc_channel *c = &w->channel;
@@ -532,7 +532,7 @@ static int claim(rosplc_plc_writer *w)
         if (left)
             return 0;
     }
-    if (c->kind == ROSPLC_KIND_TOPIC || holder || !w->epoch) /* else its calls are still its own */
+    if (c->kind == ROSPLC_KIND_TOPIC || holder || !w->epoch) /* else keep it: open calls refer to it */
         w->epoch = draw(c);
     w->ready = rosplc_writer_claim(&w->writer, &c->region, holder, w->epoch, c->beat_ms, 0) == ROSPLC_OK;
     if (w->ready && (c->error == ROSPLC_ERROR_CLAIMED || c->error == ROSPLC_ERROR_CLAIM_LOST))
@@ -559,7 +559,7 @@ void *rosplc_plc_write_begin(rosplc_plc_writer *w, uint32_t now_ms, int enable)
         if (watch(c, rosplc_load(&bridge->beat), w->taken, rosplc_load(&bridge->beat_ms), release_writer)) {
             if (c->peer_alive)
                 w->sinks = rosplc_load(&bridge->sinks);
-            /* What is to be said of a call may be for another object than the one that was just opened. */
+            /* A call's message may have been prepared for another object than the one just opened. */
             if (claim(w) && enable && !(c->opened && c->kind != ROSPLC_KIND_TOPIC)) {
                 w->slot = rosplc_writer_begin(&w->writer, &error);
                 if (!w->slot)
@@ -615,14 +615,14 @@ void rosplc_plc_writer_close(rosplc_plc_writer *w)
     w->channel.clock_runs = w->channel.waiting = 0;
 }
 
-/* ---- clients and servers: the rules of the generated blocks RosPlc_Caller, RosPlc_Answerer and theirs */
+/* ---- clients and servers: the rules of RosPlc_Caller, RosPlc_Answerer and the other generated blocks */
 
 static int ready(rosplc_plc_reader *r)
 {
     return r->channel.attached && rosplc_reader_owned(&r->reader) != NULL;
 }
 
-/* Whether the call read last may be acted on: it is told to be taken, and still the newest (M26). */
+/* Stores `taken`. Returns whether the last call read may be acted on: it is still the newest (M26). */
 static int begin(rosplc_plc_reader *r)
 {
     if (!ready(r))
@@ -635,7 +635,7 @@ static int begin(rosplc_plc_reader *r)
     return rosplc_call_begin(&r->reader);
 }
 
-/* A writer's call in a scan; `say` NULL: nothing is sent. */
+/* Calls the writer once per scan; if `say` is NULL, nothing is sent. */
 static void transmit(rosplc_plc_writer *w, uint32_t now_ms, const rosplc_plc_call *say, const void *record)
 {
     rosplc_plc_channel *c = &w->channel;
@@ -703,7 +703,7 @@ void rosplc_plc_client_init(rosplc_plc_client *c, const char *prefix, const char
         reader_part(&c->feedback, prefix, name, client, ROSPLC_KIND_FEEDBACK, &parts[2]);
 }
 
-/* Ends the call in hand; `outcome` 0: it is done. */
+/* Ends the current call; `outcome` 0: it is done. */
 static void conclude(rosplc_plc_client *c, uint32_t outcome, uint32_t reason, int asked)
 {
     c->busy = c->giving_up = c->sent = 0;
@@ -746,13 +746,13 @@ static int known(uint32_t peers)
     return peers != 0 && peers != ROSPLC_UNKNOWN;
 }
 
-/* Whether the answer of this scan ends a call of any kind. */
+/* Whether this scan's answer ends a call of any kind. */
 static int ends(const rosplc_plc_client *c)
 {
     return c->answer && c->answer <= ROSPLC_ANSWER_ABORTED && c->answer != ROSPLC_ANSWER_ACCEPTED;
 }
 
-/* Ends the call by an answer without a record; one for another kind of call tells nothing. */
+/* Ends the call with an answer that has no record. An answer for another kind of call means FATE_UNKNOWN. */
 static void fail(rosplc_plc_client *c, int asked)
 {
     if (ends(c))
@@ -763,7 +763,7 @@ static void fail(rosplc_plc_client *c, int asked)
                  c->in.call.reason, asked);
 }
 
-/* What a goal's answer means; 1: it has a result. */
+/* Applies the answer to a goal; 1: it has a result. */
 static int goal_answered(rosplc_plc_client *c)
 {
     uint32_t status = c->in.call.status;
@@ -794,7 +794,7 @@ static int goal_answered(rosplc_plc_client *c)
     return record;
 }
 
-/* Looks at the newest answer; 1: its record is the response or result. */
+/* Checks the newest answer; 1: its record is the response or result. */
 static int answered(rosplc_plc_client *c)
 {
     c->block.attached = c->out.ready && ready(&c->in);
@@ -816,12 +816,12 @@ static int answered(rosplc_plc_client *c)
         }
     }
     if (c->action && ends(c))
-        c->owed = 0; /* the goal that was given up has ended */
+        c->owed = 0; /* the abandoned goal has ended */
     c->late++;
     return 0;
 }
 
-/* The object or the claim with which the call was sent is gone, so that no answer can come. */
+/* Ends the call if its object or claim is gone, so that no answer can come. */
 static void lose(rosplc_plc_client *c)
 {
     const rosplc_plc_writer *w = &c->out;
@@ -829,20 +829,20 @@ static void lose(rosplc_plc_client *c)
     if (w->epoch == c->mine.caller && w->channel.generation == c->of_object && !retired)
         return;
     c->send = c->owed = 0;
-    if (c->busy && c->sent) /* only a retired object is never acted on again (M27); one that was removed may be */
+    if (c->busy && c->sent) /* only a retired object is never acted on again (M27); a removed one may be */
         conclude(c,
                  retired && w->epoch == c->mine.caller && !w->begun ? ROSPLC_ERROR_NOT_EXECUTED
                                                                     : ROSPLC_ERROR_FATE_UNKNOWN,
                  ROSPLC_REASON_BRIDGE_RESTARTED, c->stopped);
 }
 
-/* Whether the call has taken too long, or the bridge is silent for too long. */
+/* Whether the call has taken too long, or the bridge has been silent for too long. */
 static int is_over(const rosplc_plc_client *c)
 {
     return (c->limit && c->waited > c->limit) || (c->grace && c->silent > c->grace && !c->block.peer_alive);
 }
 
-/* A call that has not been sent: sends it, or ends it. */
+/* Sends a call that has not been sent yet, or ends it. */
 static void open_call(rosplc_plc_client *c)
 {
     const rosplc_plc_writer *w = &c->out;
@@ -857,7 +857,7 @@ static void open_call(rosplc_plc_client *c)
         c->mine.number = c->number;
         c->mine.caller = w->epoch;
         c->of_object = w->channel.generation;
-        if (c->action) { /* a fixed function of what the slot says: who finds the message knows the goal */
+        if (c->action) { /* computed from the slot's words: any reader of the message can identify the goal */
             c->mine.client[0] = c->of_object;
             c->mine.client[1] = c->mine.caller;
             c->mine.client[2] = c->number;
@@ -868,7 +868,7 @@ static void open_call(rosplc_plc_client *c)
     }
 }
 
-/* What is to be sent in this scan. */
+/* Decides what to send in this scan. */
 static void decide(rosplc_plc_client *c)
 {
     int over;
@@ -880,7 +880,7 @@ static void decide(rosplc_plc_client *c)
     if (!c->sent) {
         open_call(c);
     } else if (over || (c->stop && !c->action)) {
-        uint32_t withdrawn = c->accepted ? 0 : ROSPLC_ASK_WITHDRAWN; /* who has not begun never will (M26) */
+        uint32_t withdrawn = c->accepted ? 0 : ROSPLC_ASK_WITHDRAWN; /* a call not yet begun never will be (M26) */
         c->giving_up = 1;
         c->stopped = c->stop && !c->action;
         prepare(&c->send, &c->say, &c->mine, ROSPLC_ASK_CALL | withdrawn | (c->action ? ROSPLC_ASK_CANCEL : 0), 0);
@@ -893,7 +893,7 @@ static void decide(rosplc_plc_client *c)
     }
 }
 
-/* What became of the message of this scan. */
+/* Evaluates the outcome of this scan's message. */
 static void settle(rosplc_plc_client *c)
 {
     int gone = !c->out.ready, fate;
@@ -901,7 +901,7 @@ static void settle(rosplc_plc_client *c)
         c->send = 0;
     if (c->giving_up && (gone || !c->send)) {
         fate = c->accepted || gone || c->out.begun;
-        c->owed = c->action ? fate : c->send; /* withdrawn as soon as the object is open again */
+        c->owed = c->action ? fate : c->send; /* withdrawn as soon as the object is reopened */
         conclude(c, fate ? ROSPLC_ERROR_FATE_UNKNOWN : ROSPLC_ERROR_NOT_EXECUTED,
                  c->stopped ? ROSPLC_REASON_NONE : ROSPLC_REASON_TIME_OUT, c->stopped);
     } else if (c->owed && !c->action) {
@@ -966,7 +966,7 @@ void rosplc_plc_server_init(rosplc_plc_server *s, const char *prefix, const char
     }
 }
 
-/* Ends the call read last, which was not shown. */
+/* Ends the last call read, which was not shown. */
 static void refuse(rosplc_plc_server *s, uint32_t status, uint32_t reason)
 {
     s->found = 0;
@@ -974,7 +974,7 @@ static void refuse(rosplc_plc_server *s, uint32_t status, uint32_t reason)
     prepare(&s->send, &s->say, &s->news, status, reason);
 }
 
-/* A further message of the call in hand: each repeats all that is asked. */
+/* Applies a further message of the current call: each repeats the call's whole state. */
 static void updated(rosplc_plc_server *s, uint32_t status)
 {
     if (status & ROSPLC_ASK_WITHDRAWN)
@@ -982,12 +982,12 @@ static void updated(rosplc_plc_server *s, uint32_t status)
     if (!(status & ROSPLC_ASK_CANCEL))
         s->asked = 0;
     else if (!s->canceling && (!(s->mine.status & ROSPLC_ASK_CANCEL) || status == s->mine.status))
-        s->asked = 1; /* for the first time, or again */
+        s->asked = 1; /* a first or repeated request */
     s->preempt = (status & ROSPLC_ASK_PREEMPT) != 0;
     s->mine.status = status;
 }
 
-/* What the newest message asks; 1: it is a call that may begin, if begin() agrees. */
+/* Evaluates the newest message; 1: it is a call that may begin if begin() returns 1. */
 static int offered(rosplc_plc_server *s)
 {
     rosplc_plc_reader *in = &s->in;
@@ -998,8 +998,8 @@ static int offered(rosplc_plc_server *s)
     if (!open) {
         s->first_read = 0;
         if (s->shown && in->channel.error == ROSPLC_ERROR_RETIRED)
-            s->caller_gone = 1; /* even if no other object follows */
-    } else if (in->channel.generation != s->of_object) { /* the bridge has ended what the one before held */
+            s->caller_gone = 1; /* even if no new object follows */
+    } else if (in->channel.generation != s->of_object) { /* the bridge has ended the previous object's call */
         s->of_object = in->channel.generation;
         s->found = s->send = 0;
         s->orphan = s->caller_gone = s->shown;
@@ -1016,24 +1016,24 @@ static int offered(rosplc_plc_server *s)
             updated(s, in->call.status);
             s->found = 0;
         } else {
-            s->found = s->found || !again; /* one that has ended is not begun again */
+            s->found = s->found || !again; /* a call that has ended is not begun again */
             s->caller_gone = s->caller_gone || (s->shown && s->found);
         }
         s->news = in->call;
         s->verdict = 0;
-        if (s->news.status != ROSPLC_ASK_CALL) { /* an earlier run may have begun what is found first */
+        if (s->news.status != ROSPLC_ASK_CALL) { /* an earlier run may have begun the first call found */
             s->verdict = fresh ? ROSPLC_ANSWER_FATE_UNKNOWN : ROSPLC_ANSWER_NOT_EXECUTED;
             s->verdict_reason = fresh ? ROSPLC_REASON_PLC_DOWN : ROSPLC_REASON_CALLER_GONE;
         }
     } else if (!s->found && !s->shown) {
-        s->news = in->call; /* the state found when opening: it belongs to an earlier run */
+        s->news = in->call; /* the state found when opening belongs to an earlier run */
     }
     if (s->found && s->verdict && !s->send)
         refuse(s, s->verdict, s->verdict_reason);
     return s->found && !s->shown && !s->send && s->out.ready;
 }
 
-/* Ends the call in hand; 1: with an answer. */
+/* Ends the current call; 1: with an answer. */
 static int ended(rosplc_plc_server *s, uint32_t status, uint32_t reason)
 {
     s->shown = s->caller_gone = 0;
@@ -1043,11 +1043,11 @@ static int ended(rosplc_plc_server *s, uint32_t status, uint32_t reason)
     return !s->orphan;
 }
 
-/* The program's answer; 1: the response is to be sent. */
+/* Applies the program's answer; 1: the response must be sent. */
 static int replied(rosplc_plc_server *s, uint32_t rose)
 {
     int fill = 0;
-    if (rose & (ROSPLC_PLC_REPLY | ROSPLC_PLC_REJECT)) { /* shown before this call, and one answer, not two */
+    if (rose & (ROSPLC_PLC_REPLY | ROSPLC_PLC_REJECT)) { /* only if shown before this call, and only one of them */
         s->illegal = !s->request
                      || (s->steps & (ROSPLC_PLC_REPLY | ROSPLC_PLC_REJECT)) == (ROSPLC_PLC_REPLY | ROSPLC_PLC_REJECT);
         if (!s->illegal && rose & ROSPLC_PLC_REPLY)
@@ -1059,7 +1059,7 @@ static int replied(rosplc_plc_server *s, uint32_t rose)
     return fill;
 }
 
-/* The program's steps, each by what was shown before this call; 1: the result is to be sent. */
+/* Applies the program's steps, each judged by the outputs before this call; 1: the result must be sent. */
 static int stepped(rosplc_plc_server *s, uint32_t rose)
 {
     const uint32_t decided = rose & (ROSPLC_PLC_ACCEPT | ROSPLC_PLC_REJECT);

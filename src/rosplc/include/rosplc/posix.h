@@ -12,8 +12,8 @@
 #include "region.h"
 
 /* Opens the object at `path` (/dev/shm/PREFIX.t.TOPIC), checks it in the order of section 9, and maps it. `kind` is
- * ROSPLC_KIND_TOPIC, ROSPLC_KIND_REQUEST ..., `direction` ROSPLC_TO_PLC or ROSPLC_TO_ROS. ROSPLC_OK: `region` is
- * filled; give it back with rosplc_close. */
+ * ROSPLC_KIND_TOPIC, ROSPLC_KIND_REQUEST ..., `direction` ROSPLC_TO_PLC or ROSPLC_TO_ROS. Returns ROSPLC_OK after
+ * filling `region`; unmap it with rosplc_close. */
 static inline rosplc_error rosplc_open_kind(rosplc_region *region, const char *path, int writable, uint32_t kind,
                                             uint32_t direction, uint32_t layout_lo, uint32_t layout_hi,
                                             uint32_t record_size)

@@ -1,13 +1,13 @@
 /* A reader: spec/shm-format.md, sections 4 and 7.3 (M8, M9, M12 to M16, M23).
  *
- * rosplc_take_record copies a message into private memory. A caller that converts on the way writes out its loop
+ * rosplc_take_record copies a message into private memory. A caller that converts it instead writes this loop
  * of at most 1 + ROSPLC_MAX_RETRIES attempts:
  *
  *   rosplc_take t = rosplc_take_start(ROSPLC_TAKE_NEXT);
  *   while (rosplc_take_begin(&reader, &t)) {         a candidate: t.slot, t.sequence
  *       ... convert rosplc_record(t.slot), reading every count once (M16) ...
  *       if (rosplc_take_check(&reader, &t))          both conditions of M12
- *           rosplc_take_accept(&reader, &t);         stores `taken`, before anyone sends (M15); ends the loop
+ *           rosplc_take_accept(&reader, &t);         stores `taken` before the message is sent (M15); ends the loop
  *   }
  */
 #ifndef ROSPLC_READER_H
@@ -20,10 +20,10 @@ enum { ROSPLC_TAKE_NEWEST, ROSPLC_TAKE_NEXT, ROSPLC_TAKE_PEEK };
 typedef struct {
     const rosplc_region *region;
     rosplc_reader_line *line; /* NULL: an observer */
-    uint32_t claim;       /* own claim, never 0, unless an observer */
+    uint32_t claim;       /* own claim, never 0, except in an observer */
     uint32_t last;        /* newest sequence taken; belongs to region->geometry.generation (M14) */
     uint32_t lost, retries, discontinuities;
-    int fresh; /* began with last = 0 and has taken nothing: its first message is no loss or discontinuity */
+    int fresh; /* began with last = 0 and has taken nothing: the first message is no loss or discontinuity */
 } rosplc_reader;
 
 typedef struct {
@@ -36,7 +36,7 @@ typedef struct {
     uint32_t attempts;
 } rosplc_take;
 
-/* Starts at `last`. Touches no shared word. */
+/* Starts at `last`. Does not access shared memory. */
 static inline void rosplc_reader_observe(rosplc_reader *r, const rosplc_region *region, uint32_t last)
 {
     memset(r, 0, sizeof *r);
@@ -45,7 +45,7 @@ static inline void rosplc_reader_observe(rosplc_reader *r, const rosplc_region *
     r->fresh = last == 0;
 }
 
-/* What a reader writes into line `line` that it has just claimed, but for `taken`. */
+/* Fills the reader line that was just claimed, except for `taken`. */
 static inline void rosplc_reader_enter(rosplc_reader *r, rosplc_reader_line *line, uint32_t claim, uint32_t beat_ms,
                                        uint32_t pid)
 {
@@ -61,12 +61,12 @@ static inline void rosplc_reader_enter(rosplc_reader *r, rosplc_reader_line *lin
     rosplc_store(&line->layout_hi, region->geometry.layout_hi);
     rosplc_store(&line->pid, pid);
     rosplc_store(&line->beat, rosplc_load(&line->beat) + 1);
-    /* A generation that does not match voids `taken`: so it is written last. */
+    /* `taken` is invalid while the generation does not match, so the generation is written last. */
     rosplc_fence_release(0);
     rosplc_store(&line->generation, region->geometry.generation);
 }
 
-/* Claims a line whose claim is `expected` (0: free); OK or CLAIMED. The line's `taken` becomes reader->last. */
+/* Claims a line whose claim is `expected` (0: free); returns OK or CLAIMED. Sets the line's `taken` to r->last. */
 static inline rosplc_error rosplc_reader_claim(rosplc_reader *r, uint32_t index, uint32_t expected, uint32_t claim,
                                                uint32_t beat_ms, uint32_t pid)
 {
@@ -78,9 +78,9 @@ static inline rosplc_error rosplc_reader_claim(rosplc_reader *r, uint32_t index,
     return ROSPLC_OK;
 }
 
-/* The line while it is this reader's, else NULL; a reader that lost its line continues as an observer (M9).
- * One thread may beat while another takes, and either may find that the line is lost: callers use what this
- * returned, and never r->line a second time. */
+/* The line while this reader owns it, else NULL; a reader that lost its line continues as an observer (M9).
+ * One thread may beat while another takes, and either may find that the line is lost: callers use the returned
+ * pointer, and never read r->line again. */
 static inline rosplc_reader_line *rosplc_reader_owned(rosplc_reader *r)
 {
     rosplc_reader_line *line = __atomic_load_n(&r->line, __ATOMIC_RELAXED);
@@ -108,7 +108,7 @@ static inline void rosplc_reader_release(rosplc_reader *r)
     r->line = NULL;
 }
 
-/* M13: nothing is new under a head that is 0, or at `last`, or so little behind it that its slot may
+/* M13: there is no new message if head is 0, equals `last`, or is so little behind `last` that its slot may
  * still hold a message already taken. */
 static inline int rosplc_is_new(const rosplc_reader *r, uint32_t head)
 {
@@ -116,7 +116,7 @@ static inline int rosplc_is_new(const rosplc_reader *r, uint32_t head)
     return head != 0 && (r->last == 0 || rosplc_distance(head, r->last, n) >= n);
 }
 
-/* Whether there may be something to take. */
+/* Whether there may be a message to take. */
 static inline int rosplc_reader_news(const rosplc_reader *r)
 {
     return rosplc_is_new(r, rosplc_load(&r->region->header->writer.head));
@@ -130,7 +130,7 @@ static inline rosplc_take rosplc_take_start(int mode)
     return t;
 }
 
-/* Which message this attempt is about: sets sequence, lost, discontinuity. 0: there is none. */
+/* Chooses the message of this attempt: sets sequence, lost, discontinuity. 0: there is none. */
 static inline int rosplc_take_choose(const rosplc_reader *r, rosplc_take *t)
 {
     uint32_t n = r->region->geometry.slot_count, d;
@@ -147,10 +147,10 @@ static inline int rosplc_take_choose(const rosplc_reader *r, rosplc_take *t)
     if (d >= ROSPLC_DISCONTINUITY) {
         t->discontinuity = 1;
     } else if (d == 1) {
-        /* The same number as head, computed from `last`: so that the processor, which foresees that branch,
-         * fetches the slot while head is still on its way from the writer's core. Whatever it fetched too
-         * early it throws away; F3 orders the loads as before. The empty statement keeps the compiler from
-         * seeing that the numbers are equal. */
+        /* Equals head, but is computed from `last`: the processor, which predicts this branch, can thus
+         * fetch the slot while head is still in transit from the writer's core. Data fetched too early is
+         * discarded; F3 orders the loads as before. The empty statement keeps the compiler from seeing
+         * that the numbers are equal. */
         uint32_t next = rosplc_next(r->last, n);
         ROSPLC_OPAQUE(next);
         t->sequence = next;
@@ -169,7 +169,7 @@ static inline int rosplc_take_choose(const rosplc_reader *r, rosplc_take *t)
     return 1;
 }
 
-/* The next attempt; 0 when there is nothing (more) to try. */
+/* Begins the next attempt; 0 if there is nothing (more) to try. */
 static inline int rosplc_take_begin(rosplc_reader *r, rosplc_take *t)
 {
     while (t->attempts <= ROSPLC_MAX_RETRIES) {
@@ -188,7 +188,7 @@ static inline int rosplc_take_begin(rosplc_reader *r, rosplc_take *t)
         t->attempts++;
         t->slot = rosplc_slot(r->region, t->sequence);
         sequence = rosplc_load(&t->slot->sequence);
-        ROSPLC_F3(); /* after both, or a slot sealed during the copy would pass */
+        ROSPLC_F3(); /* after both loads, or a slot sealed during the copy would pass */
         if (sequence == t->sequence
             && rosplc_load(&t->slot->length) == r->region->geometry.record_size) {
             t->flags = rosplc_load(&t->slot->flags);
@@ -203,16 +203,16 @@ static inline int rosplc_take_begin(rosplc_reader *r, rosplc_take *t)
             t->reason = rosplc_load(&t->slot->reason);
             return 1;
         }
-        /* M13: a message inside the window that its slot does not hold, under a head that does not change,
-         * was never published (a writer claimed a scribbled head). The newest one decides. */
+        /* M13: if head does not change, and a slot inside the window does not hold its message, the message
+         * was never published (a writer claimed with a corrupted head). Continue at head. */
         if (again && before == t->head)
             t->at_head = 1;
     }
     return 0;
 }
 
-/* Both conditions of M12, after the copy. The rule is loaded again, since another writer may have taken the
- * channel over during the copy, and the smaller window counts (M23). */
+/* Both conditions of M12, after the copy. The rule is loaded again, since another writer may have taken over the
+ * channel during the copy, and the smaller window counts (M23). */
 static inline int rosplc_take_check(const rosplc_reader *r, const rosplc_take *t)
 {
     uint32_t head, window;
@@ -226,7 +226,7 @@ static inline int rosplc_take_check(const rosplc_reader *r, const rosplc_take *t
            && rosplc_load(&t->slot->length) == r->region->geometry.record_size;
 }
 
-/* Makes the message the last one taken (but a peeked one), and ends the loop. */
+/* Marks the message as taken (unless it was only peeked at), and ends the loop. */
 static inline void rosplc_take_accept(rosplc_reader *r, rosplc_take *t)
 {
     rosplc_reader_line *line;
@@ -245,8 +245,8 @@ static inline void rosplc_take_accept(rosplc_reader *r, rosplc_take *t)
     }
 }
 
-/* Copies a message into `record`, private memory of record_size bytes, and returns 1; 0 where there is none to
- * take: `record` then holds anything. Check the region first (rosplc_region_check). */
+/* Copies a message into `record`, private memory of record_size bytes, and returns 1; 0 if there is none to take:
+ * the contents of `record` are then undefined. Check the region first (rosplc_region_check). */
 static inline int rosplc_take_record(rosplc_reader *r, rosplc_take *t, void *record)
 {
     while (rosplc_take_begin(r, t)) {

@@ -8,7 +8,7 @@
 
 typedef struct {
     rosplc_header *header;
-    rosplc_geometry geometry; /* checked against the mapping; the header's own is never read again */
+    rosplc_geometry geometry; /* checked against the mapping; the header's copy is never read again */
 } rosplc_region;
 
 static inline rosplc_slot_header *rosplc_slot(const rosplc_region *r, uint32_t sequence)
@@ -40,7 +40,7 @@ static inline uint32_t rosplc_silence_ms(uint32_t beat_ms)
     return silence < ROSPLC_MIN_SILENT_MS ? ROSPLC_MIN_SILENT_MS : silence;
 }
 
-/* Section 9, last rule: both words are compared at every call. RETIRED or LAYOUT: open the name again. */
+/* Section 9, last rule: compare state and layout id at every call. After RETIRED or LAYOUT, open the name again. */
 static inline rosplc_error rosplc_region_check(const rosplc_region *r)
 {
     const rosplc_identity *id = &r->header->identity;

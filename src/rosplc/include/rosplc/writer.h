@@ -1,7 +1,7 @@
 /* The writer: spec/shm-format.md, sections 3 and 7.2 (M6, M7, M10, M11).
  *
  *   rosplc_writer_claim    take the channel, load head once
- *   rosplc_writer_begin      check object and claim, hand out the next slot's record
+ *   rosplc_writer_begin      check object and claim, return the next slot
  *   ... the caller fills the record ...
  *   rosplc_writer_commit     make it the newest message   or   rosplc_writer_refuse: leave it unpublished
  */
@@ -10,13 +10,13 @@
 
 #include "region.h"
 
-/* So many bytes of a slot are fetched ahead; the processor follows a longer copy by itself. */
+/* Number of bytes of a slot to prefetch; beyond that, the processor's own prefetching keeps up with the copy. */
 #define ROSPLC_PREFETCHED 512u
 
 typedef struct {
     const rosplc_region *region;
     uint32_t epoch;    /* own claim, never 0 */
-    uint32_t head;     /* private (M7): the newest sequence that this writer knows of */
+    uint32_t head;     /* private (M7): the newest sequence known to this writer */
     uint32_t flags;    /* for the next message: ROSPLC_FLAG_FIRST until one is published */
 } rosplc_writer;
 
@@ -25,8 +25,8 @@ typedef struct {
     uint32_t client[4], reason; /* 0 for topics */
 } rosplc_meta;
 
-/* Replaces the claim `expected` (0: free) by `epoch`, a random number that is not 0. OK or CLAIMED. The caller, who
- * has a clock, judges whether another's claim has been silent for long enough (M6). */
+/* Replaces the claim `expected` (0: free) with `epoch`, a random nonzero number. Returns OK or CLAIMED. The caller,
+ * which has a clock, decides whether another writer's claim has been silent for long enough (M6). */
 static inline rosplc_error rosplc_writer_claim(rosplc_writer *w, const rosplc_region *region, uint32_t expected,
                                                uint32_t epoch, uint32_t beat_ms, uint32_t pid)
 {
@@ -39,7 +39,7 @@ static inline rosplc_error rosplc_writer_claim(rosplc_writer *w, const rosplc_re
     w->flags = ROSPLC_FLAG_FIRST;
     rosplc_store(&line->writer_beat_ms, beat_ms);
     rosplc_store(&line->writer_rule, ROSPLC_RULE_FENCES);
-    rosplc_store(&line->sources, ROSPLC_UNKNOWN); /* not those of the writer before */
+    rosplc_store(&line->sources, ROSPLC_UNKNOWN); /* not those of the previous writer */
     rosplc_store(&line->writer_pid, pid);
     rosplc_store(&line->writer_error, 0);
     rosplc_store(&line->writer_beat, rosplc_load(&line->writer_beat) + 1);
@@ -62,9 +62,9 @@ static inline void rosplc_writer_beat(const rosplc_writer *w)
         rosplc_store(beat, rosplc_load(beat) + 1);
 }
 
-/* What publishing will write, fetched all at once. A reader that waits has taken head's line: loading epoch
- * from there, and only then asking for the line again to store head, would cost a journey between two cores
- * each, one after the other, and would hold up all stores into the slot. A third of a round trip. */
+/* Prefetches all lines that publishing will write. A waiting reader has the line of `head` in its cache: to load
+ * the epoch from this line, and later request it again to store `head`, would cost two successive transfers between
+ * cores, and delay all stores into the slot: a third of a round trip. */
 static inline void rosplc_writer_prefetch(const rosplc_writer *w, const rosplc_slot_header *slot)
 {
     uint32_t size = w->region->geometry.slot_stride;
@@ -73,7 +73,7 @@ static inline void rosplc_writer_prefetch(const rosplc_writer *w, const rosplc_s
         rosplc_prefetch_for_writing((const uint8_t *)slot + at);
 }
 
-/* Opens the slot of the next message; NULL and *error if this writer may not write. */
+/* Returns the next message's slot, sealed; NULL and *error if this writer may not write. */
 static inline rosplc_slot_header *rosplc_writer_begin(const rosplc_writer *w, rosplc_error *error)
 {
     const rosplc_region *r = w->region;
@@ -83,13 +83,13 @@ static inline rosplc_slot_header *rosplc_writer_begin(const rosplc_writer *w, ro
     if (*error != ROSPLC_OK)
         return NULL;
     ROSPLC_F1();
-    /* M22, the seal: not even a scribbled head can then present half a message. */
+    /* M22, the seal: then not even a corrupted head can present half a message. */
     rosplc_store(&slot->sequence, 0);
     ROSPLC_F5(r->geometry.record_size);
     return slot;
 }
 
-/* Publishes what has been written into the slot; returns its sequence. */
+/* Publishes the message written into the slot; returns its sequence. */
 static inline uint32_t rosplc_writer_commit(rosplc_writer *w, rosplc_slot_header *slot, const rosplc_meta *meta)
 {
     const rosplc_region *r = w->region;
@@ -109,7 +109,7 @@ static inline uint32_t rosplc_writer_commit(rosplc_writer *w, rosplc_slot_header
     rosplc_store(&slot->reason, meta->reason);
     ROSPLC_F6(r->geometry.record_size);
     rosplc_store(&slot->sequence, s);
-    /* Readers fetch head's line as soon as head changes: a store behind it would take the line away from
+    /* Readers fetch the line of `head` as soon as it changes: a later store to it would take the line away from
      * them again, in the middle of their copy. */
     if (flags & ROSPLC_FLAG_TRUNCATED)
         rosplc_store(&line->truncated, rosplc_load(&line->truncated) + 1);
@@ -121,7 +121,7 @@ static inline uint32_t rosplc_writer_commit(rosplc_writer *w, rosplc_slot_header
     return s;
 }
 
-/* Publishes a record of exactly record_size bytes. OK, or as rosplc_writer_check. */
+/* Publishes a record of exactly record_size bytes. Returns what rosplc_writer_check returns. */
 static inline rosplc_error rosplc_publish(rosplc_writer *w, const void *record, const rosplc_meta *meta)
 {
     rosplc_error error;
@@ -133,7 +133,7 @@ static inline rosplc_error rosplc_publish(rosplc_writer *w, const void *record, 
     return error;
 }
 
-/* Leaves the slot unpublished and counts the message; `error` is the number to show, 0 none. */
+/* Leaves the slot unpublished and counts the message as refused; `error` is the number to show, or 0. */
 static inline void rosplc_writer_refuse(const rosplc_writer *w, uint32_t error)
 {
     rosplc_writer_line *line = &w->region->header->writer;
@@ -142,7 +142,7 @@ static inline void rosplc_writer_refuse(const rosplc_writer *w, uint32_t error)
         rosplc_store(&line->writer_error, error);
 }
 
-/* Gives the claim back, if it is still this writer's. */
+/* Releases the claim if this writer still holds it. */
 static inline void rosplc_writer_release(const rosplc_writer *w)
 {
     rosplc_writer_line *line = &w->region->header->writer;
