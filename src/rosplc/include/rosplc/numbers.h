@@ -29,20 +29,20 @@
 #define ROSPLC_MAX_OBJECT_SIZE 0x7FFFFFFFu /* largest object_size in bytes */
 #define ROSPLC_RULE_FENCES 1u /* writer_rule: the fences of section 7.2 are in force */
 #define ROSPLC_RULE_DELAYED 2u /* writer_rule: the delayed rule of section 7.4 */
-#define ROSPLC_WINDOW_FENCES 2u /* M12: a message is accepted up to slot_count minus this behind head */
+#define ROSPLC_WINDOW_FENCES 2u /* M12: the largest distance behind head is slot_count minus this */
 #define ROSPLC_WINDOW_DELAYED 3u /* M23: the same under the delayed rule */
-#define ROSPLC_FLAG_FIRST 1u /* flags: first after the writer started or its source was silent */
-#define ROSPLC_FLAG_TRUNCATED 2u /* flags: something was cut off */
-#define ROSPLC_FLAG_SUBSTITUTED 4u /* flags: not a message of the source */
+#define ROSPLC_FLAG_FIRST 1u /* flags: first message after the writer started or its source was silent */
+#define ROSPLC_FLAG_TRUNCATED 2u /* flags: contents were truncated */
+#define ROSPLC_FLAG_SUBSTITUTED 4u /* flags: not a message from the source */
 #define ROSPLC_ASK_CALL 1u /* status of a request or goal: always set */
 #define ROSPLC_ASK_CANCEL 2u /* status of a goal: the caller asks for it to be canceled */
 #define ROSPLC_ASK_PREEMPT 4u /* status of a goal: another goal waits for this one to end */
-#define ROSPLC_ASK_WITHDRAWN 8u /* status of a request or goal: nobody waits for an answer any more */
-#define ROSPLC_ASK_ACCEPTED 16u /* status of a goal: it was accepted, and nothing is asked of it any more */
-#define ROSPLC_ANSWER_MASK 0x000000FFu /* status of an answer: the bits that hold one of the next eight */
+#define ROSPLC_ASK_WITHDRAWN 8u /* status of a request or goal: the caller no longer waits for an answer */
+#define ROSPLC_ASK_ACCEPTED 16u /* status of a goal: the goal was accepted, and no request is pending */
+#define ROSPLC_ANSWER_MASK 0x000000FFu /* status of an answer: the bits that contain one of the next eight values */
 #define ROSPLC_ANSWER_DONE 1u /* status of an answer: the record is the response */
-#define ROSPLC_ANSWER_NOT_EXECUTED 2u /* status of an answer: it did not begin, and it is safe to call again */
-#define ROSPLC_ANSWER_FATE_UNKNOWN 3u /* status of an answer: it may have been executed, and no answer will come */
+#define ROSPLC_ANSWER_NOT_EXECUTED 2u /* status of an answer: the call did not begin, and it is safe to call again */
+#define ROSPLC_ANSWER_FATE_UNKNOWN 3u /* status of an answer: the call may have been executed; no answer will come */
 #define ROSPLC_ANSWER_UNREADABLE 4u /* status of an answer: executed, but the answer does not fit the record */
 #define ROSPLC_ANSWER_ACCEPTED 5u /* status of an answer: the goal is being executed */
 #define ROSPLC_ANSWER_SUCCEEDED 6u /* status of an answer: the record is the result */
@@ -52,20 +52,20 @@
 #define ROSPLC_ANSWER_CANCEL_REJECTED 512u /* status of an answer, added: the goal will not be canceled */
 #define ROSPLC_ANSWER_NO_RESULT 1024u /* status of an answer, added: the result does not fit the record */
 #define ROSPLC_GOAL_ID_END 0x504C5052u /* the last word of the UUID of a goal that a PLC sends */
-#define ROSPLC_GOAL_NOTES 2u /* entries of the table behind the slots of an action's goals that the bridge writes */
-#define ROSPLC_GOAL_NOTE_BYTES 1024u /* bytes that an entry of this table holds at most */
+#define ROSPLC_GOAL_NOTES 2u /* entries of the table after the slots of a goal object that the bridge writes */
+#define ROSPLC_GOAL_NOTE_BYTES 1024u /* maximum bytes of a note in this table */
 #define ROSPLC_GOAL_NOTES_SIZE 2112u /* bytes of this table */
 #define ROSPLC_STAMP_NONE 0u /* stamp_clock: no time stamp */
 #define ROSPLC_STAMP_SYSTEM 1u /* stamp_clock: system clock (UTC) */
 #define ROSPLC_STAMP_ROS 2u /* stamp_clock: ROS time */
 #define ROSPLC_STAMP_PLC 3u /* stamp_clock: the PLC's clock */
 #define ROSPLC_UNKNOWN 0xFFFFFFFFu /* sources, sinks: not counted */
-#define ROSPLC_DISCONTINUITY 0x80000000u /* from this distance on two sequences belong to no common stream */
-#define ROSPLC_MAX_RETRIES 3u /* M12: repeated attempts of one call */
+#define ROSPLC_DISCONTINUITY 0x80000000u /* two sequences this far apart or more do not belong to the same stream */
+#define ROSPLC_MAX_RETRIES 3u /* M12: maximum repeated attempts per call */
 #define ROSPLC_MAX_BEAT_MS 10000u /* a longer promised beat counts as this many ms */
-#define ROSPLC_SILENT_BEATS 3u /* M6, M21: promised beats that may be missed */
+#define ROSPLC_SILENT_BEATS 3u /* M6, M21: promised beat times after which a peer is silent */
 #define ROSPLC_MIN_SILENT_MS 100u /* M6: shortest silence that frees a claim, in ms */
-#define ROSPLC_SILENT_MS 1000u /* M6: the same where no beat is promised, in ms */
+#define ROSPLC_SILENT_MS 1000u /* M6: the same if no beat is promised, in ms */
 #define ROSPLC_MAX_NAME 80u /* characters of an object's name */
 #define ROSPLC_NAME_KEPT 71u /* characters kept of a longer name, before ~ and its hash */
 #define ROSPLC_FNV_OFFSET 0x811C9DC5u /* FNV-1a, 32 bits: start */
