@@ -53,7 +53,7 @@ def words(line: str) -> list[Word]:
 def header() -> str:
     """Return the C header's text."""
     lines = [
-        "/* The numbers of spec/shm-format.md. tools/generate_format.py makes this of spec/format.toml. */",
+        "/* The numbers of spec/shm-format.md; generated from spec/format.toml by tools/generate_format.py. */",
         "#ifndef ROSPLC_NUMBERS_H",
         "#define ROSPLC_NUMBERS_H",
         "",
@@ -67,7 +67,7 @@ def header() -> str:
     ]
     lines += [
         "",
-        "/* Section 9: what functions that may fail return. */",
+        "/* Section 9: the return values of functions that can fail. */",
         "typedef enum {",
         "    ROSPLC_OK = 0,",
     ]

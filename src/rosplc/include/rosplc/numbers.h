@@ -1,4 +1,4 @@
-/* The numbers of spec/shm-format.md. tools/generate_format.py makes this of spec/format.toml. */
+/* The numbers of spec/shm-format.md; generated from spec/format.toml by tools/generate_format.py. */
 #ifndef ROSPLC_NUMBERS_H
 #define ROSPLC_NUMBERS_H
 
@@ -72,7 +72,7 @@
 #define ROSPLC_FNV_PRIME 0x01000193u /* FNV-1a, 32 bits: factor */
 #define ROSPLC_CRC_POLYNOMIAL 0xEDB88320u /* CRC-32 (ISO-HDLC), reflected */
 
-/* Section 9: what functions that may fail return. */
+/* Section 9: the return values of functions that can fail. */
 typedef enum {
     ROSPLC_OK = 0,
     ROSPLC_ERROR_NO_OBJECT = 101, /* object does not exist */
