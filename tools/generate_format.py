@@ -53,7 +53,7 @@ def words(line: str) -> list[Word]:
 def header() -> str:
     """Return the C header's text."""
     lines = [
-        "/* The numbers of spec/shm-format.md; generated from spec/format.toml by tools/generate_format.py. */",
+        "/* Numbers of spec/shm-format.md, generated from spec/format.toml by tools/generate_format.py. */",
         "#ifndef ROSPLC_NUMBERS_H",
         "#define ROSPLC_NUMBERS_H",
         "",

@@ -1,4 +1,4 @@
-/* The numbers of spec/shm-format.md; generated from spec/format.toml by tools/generate_format.py. */
+/* Numbers of spec/shm-format.md, generated from spec/format.toml by tools/generate_format.py. */
 #ifndef ROSPLC_NUMBERS_H
 #define ROSPLC_NUMBERS_H
 
