@@ -155,9 +155,9 @@ def against_config(
 
     ``differences`` is type → what differs in its declaration.
     """
-    other = f"the code looks for {code.prefix}.t.…, but the configuration's prefix is {prefix}"
-    same = code.prefix == prefix
-    yield judged("DOC706", "" if same else other, f"the code looks for {prefix}.t.…", command=command)
+    other = f"the code's prefix is {code.prefix}, but the configuration's prefix is {prefix}"
+    same, well = code.prefix == prefix, f"code and configuration have the prefix {prefix}"
+    yield judged("DOC706", "" if same else other, well, command=command)
     blocks = {block.label: block for block in code.blocks}
     missing, stale = [], []
     for each in wanted:
@@ -179,11 +179,11 @@ def against_config(
 def _difference(block: Block, layout: Layout) -> str:
     same = block.record_size == layout.size
     if not block.layout_id:
-        return "" if same else f"{block.record_size} bytes there, {layout.size} here"
+        return "" if same else f"{block.record_size} bytes in the code, {layout.size} in the configuration"
     if block.layout_id == layout.layout_id:
         return ""
     sizes = "" if same else f" ({block.record_size} and {layout.size} bytes)"
-    return f"layout {block.layout_id} in {block.name}, {layout.layout_id} by the configuration{sizes}"
+    return f"layout {block.layout_id} in {block.name}, {layout.layout_id} in the configuration{sizes}"
 
 
 def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator[Finding]:
@@ -197,7 +197,7 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
         count += 1
         identity = seen.identity
         if block.to_plc is not (identity.direction is Direction.TO_PLC):
-            wrong.append(f"{block.label}: the object's direction is {identity.direction.word} [SHM110]")
+            wrong.append(f"{block.label}: direction {identity.direction.word} does not fit the block [SHM110]")
         elif identity.layout_id != block.layout_id:
             sizes = f"{block.record_size} and {identity.record_size} bytes"
             what = f"layout {block.layout_id} in the code, {identity.layout_id} in the bridge ({sizes})"
@@ -205,13 +205,13 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
     for what in wrong:
         yield found("DOC703", what)
     if count and not wrong:
-        yield fine("DOC703", f"the running bridge has the same layout in {plural(count, 'object')}")
+        yield fine("DOC703", f"code and running bridge have the same layout for {plural(count, 'object')}")
 
 
 def fences(code: Generated, machine: str, command: str) -> Iterator[Finding]:
     """Judge whether the code's rule of ordering is right for this machine."""
     wrong = not code.arm and code.fenced and machine in _ARM
-    what = f"the code relies on the memory fence of x86, but this is {machine}" if wrong else ""
+    what = f"the code relies on the memory fence of x86, but this machine is {machine}" if wrong else ""
     yield judged(
         "DOC707", what, "the code's memory fences suit this machine", command=f"{command} --target arm"
     )
@@ -235,8 +235,8 @@ def files(folder: Path, expected: Mapping[str, bytes], command: str) -> tuple[li
             if path.startswith("st/Types/") and (line := _first_difference(actual, content)):
                 head = content.decode("ascii", "replace").splitlines()[0].removeprefix("// ")
                 differences[head.partition(",")[0]] = line
-    what = f"differs from newly generated code: {listed(other)}" if other else ""
-    return [judged("DOC708", what, "the files are what this release generates", command=command)], differences
+    what = f"different from newly generated code: {listed(other)}" if other else ""
+    return [judged("DOC708", what, "the files match this release's output", command=command)], differences
 
 
 def _first_difference(actual: bytes, expected: bytes) -> str:
@@ -247,5 +247,5 @@ def _first_difference(actual: bytes, expected: bytes) -> str:
             first[line[:2]] = line[2:].partition("//")[0].strip().rstrip(";")
     gone, come = first.values()
     if gone and come:
-        return f"first: `{gone}` there, `{come}` here"
-    return f"first: only {'there' if gone else 'here'}: `{gone or come}`" if gone or come else ""
+        return f"first difference: `{gone}` in the code, `{come}` expected"
+    return f"first difference: {'unexpected' if gone else 'missing'} `{gone or come}`" if gone or come else ""

@@ -149,14 +149,14 @@ class _Examination:
         yield Probe("/dev/shm", Area.MEMORY, self._memory)
         yield Probe("objects in shared memory", Area.MEMORY, self._look_at_objects, 10.0)
         if self._objects is not None:
-            yield Probe("left-overs", Area.MEMORY, self._leftovers)
-        yield Probe("what happens at log-out", Area.MACHINE, self._logout)
+            yield Probe("leftovers", Area.MEMORY, self._leftovers)
+        yield Probe("logout settings", Area.MACHINE, self._logout)
         if self._classic:
-            yield Probe("classic memories and locks", Area.MEMORY, self._classic_objects)
+            yield Probe("classic shared memory and locks", Area.MEMORY, self._classic_objects)
         yield Probe("PLC runtimes", Area.PLC, self._plc)
         yield Probe("permissions of the PLC user", Area.PLC, self._rights)
         yield Probe("the ROS environment", Area.ROS, self._variables)
-        yield Probe("host names of ROS", Area.ROS, self._addresses)
+        yield Probe("ROS host names", Area.ROS, self._addresses)
         yield from self._network()
         if self._project is not None and self._objects is not None:
             yield Probe("the running bridge", Area.LIVE, self._live)
@@ -212,13 +212,13 @@ class _Examination:
         uid, gid = wanted.uid, wanted.gid
         what = remedy = command = ""
         if self._uid != 0 and uid not in (None, self._uid):
-            what = f"shm.owner is {settings.owner}, and {who} may not give files to it"
+            what = f"shm.owner is {settings.owner}, and {who} may not give files to this user"
             remedy = f"Start the bridge as {settings.owner}, or remove shm.owner."
         elif self._uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
-            what = f"shm.group is {settings.group}, and {who} is not in it"
-            remedy = "Put the bridge's user into the group, and log in again."
+            what = f"shm.group is {settings.group}, and {who} is not a member"
+            remedy = "Add the bridge's user to the group, and log in again."
             command = f"sudo usermod --append --groups {settings.group} {who}"
-        well = "objects can be given to the owner and group that the configuration names"
+        well = "objects can be given to the configured owner and group"
         return judged("DOC502", what, well, remedy, command, Level.WARNING)
 
     # The machine.

@@ -91,10 +91,10 @@ def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
     servers = [end.node or "a node without a name" for end in found_there if end.direction == "in"]
     most = 1 if call.server == "ros" else 0
     several = f"{listed(servers)} serve{'s' * (len(servers) == 1)} {name}" + (
-        "" if most else ", as the PLC does"
+        "" if most else ", which the PLC also serves"
     )
     yield judged(
-        "DOC520", f"{several} [ROS022]" if len(servers) > most else "", f"{name} has at most one server"
+        "DOC520", f"{several} [ROS022]" if len(servers) > most else "", f"{name} has no conflicting servers"
     )
     if call.server == "ros" and not (quiet and not servers):
         missing = "" if servers else f"no node serves the {call.kind} {name}, which the PLC calls"
@@ -104,7 +104,7 @@ def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
         if end.obstacles:
             yield found("DOC521", f"{does} {'; '.join(end.obstacles)} [ROS021]")
         if _ANY not in (end.type_name, type_name) and end.type_name != type_name:
-            yield found("DOC512", f"{does} as {end.type_name}, but here it is {type_name} [ROS003]")
+            yield found("DOC512", f"{does} as {end.type_name}, but {type_name} is configured [ROS003]")
 
 
 def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator[Finding]:
@@ -137,15 +137,15 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
         return found("DOC518", f"{who} {verb} {end.topic}, whose type is unknown")
     if end.type_name != plan.type_name:
         remedy = f"Write `type: {end.type_name}` for {plan.topic}, or change the node."
-        return found("DOC512", f"{does}, but here it is {plan.type_name} [ROS003]", remedy)
+        return found("DOC512", f"{does}, but {plan.type_name} is configured [ROS003]", remedy)
     if ours and end.type_hash and ours != end.type_hash:
         there, here = end.type_hash[7:15], ours[7:15]
-        what = f"{does} with another definition (type hash {there}… there, {here}… here) [ROS003]"
+        what = f"{does} with a different definition (type hash {there}…, the bridge has {here}…) [ROS003]"
         return found("DOC513", what, command=f"ros2 interface show {end.type_name}")
     offered, requested = (end.qos, plan.qos) if end.direction == "out" else (plan.qos, end.qos)
     problem = incompatibility(offered, requested)
     if problem and over_zenoh:
-        what = f"{does}, but {problem}; over Zenoh messages are exchanged nevertheless"
+        what = f"{does}, but {problem}; over Zenoh, messages are exchanged anyway"
         return found("DOC514", what, level=Level.NOTE)
     if obstacles := "; ".join([problem, *end.obstacles] if problem else end.obstacles):
         pairs = (
@@ -153,12 +153,12 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
             ("durability", end.qos.durability, plan.qos.durability),
         )
         settings = ", ".join(f"{key}: {theirs}" for key, theirs, own in pairs if theirs != own)
-        remedy = "Change these settings of the node: ROS does not have them."
+        remedy = "Change these settings of the node: the bridge does not support them."
         if problem:
             remedy = f"Write `qos: {{{settings}}}` for {plan.topic}."
         return found("DOC514", f"{does}, but {obstacles} [ROS004]", remedy)
     if not (ours and end.type_hash):
-        return found("DOC518", f"{does}, without its definition")
+        return found("DOC518", f"{does}, without announcing its definition")
     return None
 
 
@@ -206,14 +206,14 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
             command, stdin=subprocess.DEVNULL, capture_output=True, env=own, timeout=most, check=False
         )
     except subprocess.TimeoutExpired:
-        raise TimeoutError(f"examining the graph did not end within {most:g} s") from None
+        raise TimeoutError(f"examining the graph did not finish within {most:g} s") from None
     lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
     words = lines[-1].strip()[:_LONGEST_WORDS] if lines else ""
     try:
         # Written by this module, in a process of our own; a library may have printed something before it.
         answer = pickle.loads(base64.b64decode(done.stdout.rpartition(b"\n")[2], validate=True))
     except (ValueError, EOFError, pickle.UnpicklingError):
-        what = f"examining the graph ended with status {done.returncode}: {words or 'no output'}"
+        what = f"the process examining the graph exited with {done.returncode}: {words or 'no output'}"
         raise BackendError("ROS002", what) from None
     if isinstance(answer, RosplcError):
         if words and answer.code == "ROS002":  # what the library wrote would be lost with the process

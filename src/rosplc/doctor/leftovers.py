@@ -46,13 +46,13 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     left = [each for each in idle if each not in retired and each not in strangers]
     if unknown:
         what = plural(len(unknown), "object")
-        yield found("DOC003", f"not visible: which process holds {what}, since /proc/locks cannot be read")
-    what = f"no bridge holds {plural(len(left), 'object')}: {_names(left)}" if left else ""
-    yield judged("DOC205", what, "every object is held by a bridge", command=_clean(left, objects))
-    what = f"not in the configuration, and held by no bridge: {_names(strangers)}" if strangers else ""
-    well = "no object is left of topics that are not in the configuration"
+        yield found("DOC003", f"cannot find out which process uses {what}: /proc/locks cannot be read")
+    what = f"no running bridge uses {plural(len(left), 'object')}: {_names(left)}" if left else ""
+    yield judged("DOC205", what, "every object belongs to a running bridge", command=_clean(left, objects))
+    what = f"neither in use nor in the configuration: {_names(strangers)}" if strangers else ""
+    well = "all objects belong to topics in the configuration"
     yield judged("DOC206", what, well, command=_clean(strangers, objects))
-    yield judged("DOC208", f"retired: {_names(retired)}" if retired else "", "no retired object is left")
+    yield judged("DOC208", f"retired: {_names(retired)}" if retired else "", "no retired objects are left")
     # A bridge that runs may be making a temporary at this moment.
     busy = {each.path.name for each in objects.objects if each.live}
     gone = [
@@ -60,9 +60,9 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
         for path in objects.temporaries
         if (name := file_name(path.name)) and name.prefix == (prefix or name.prefix) and name.item not in busy
     ]
-    what = f"{plural(len(gone), 'temporary')} of a bridge that was killed" if gone else ""
+    what = f"{plural(len(gone), 'temporary file')} of a killed bridge" if gone else ""
     command = f"rosplc clean --prefix {gone[0].prefix}" if gone else ""
-    yield judged("DOC207", what, "no temporaries are left", command=command)
+    yield judged("DOC207", what, "no temporary files are left", command=command)
     without = [
         each
         for each in concerned(objects, prefix)
@@ -103,7 +103,7 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
         what = f"{seen.path}: {error.what} [{error.code}]"
         if error.code in _HIDDEN:
             owner = user_name(seen.status.st_uid)
-            what = f"not visible: the content of {seen.path}, which belongs to {owner} ({error.what})"
+            what = f"{seen.path}, which belongs to {owner}, cannot be examined: {error.what}"
             yield found("DOC003", what)
         elif error.code == "SHM121":
             command = f"rm{'dir' if stat.S_ISDIR(seen.status.st_mode) else ''} {seen.path}"
@@ -126,14 +126,14 @@ def ownership(
     files = [seen for seen in concerned(objects, prefix) if stat.S_ISREG(seen.status.st_mode)]
     others = [] if prefix is None else [s for s in files if s.status.st_uid not in owners and not s.live]
     names = listed(sorted({user_name(seen.status.st_uid) for seen in others}))
-    what = f"{names} owns {listed(seen.label for seen in others)}" if others else ""
+    what = f"owned by {names}: {listed(seen.label for seen in others)}" if others else ""
     command = _clean(others, objects, root=not root)
     yield judged("DOC209", what, "no object of another user is in the way", command=command)
     open_ = {seen.label: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
     who = "change" if max(open_.values(), default=0) & 0o002 else "read"
-    what = f"every user may {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
-    remedy = "In the configuration: shm: {mode: '0660', group: GROUP}; then restart the bridge."
-    yield judged("DOC210", what, "no object is open to every user", remedy)
+    what = f"all users can {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
+    remedy = "Write `shm: {mode: '0660', group: GROUP}` in the configuration, and restart the bridge."
+    yield judged("DOC210", what, "no object is accessible to all users", remedy)
 
 
 _LOOKS = 12
@@ -153,7 +153,7 @@ def locks(
     other = {name: size for name, path in present.items() if (size := path.stat().st_size) != bits // 2}
     for name, size in other.items():
         made = f"{_SIZES[size]}-bit programs" if size in _SIZES else "an unknown C library"
-        what = f"sem.{name} was made by {made} ({size} bytes), but a bridge here has {bits} bits"
+        what = f"sem.{name} was created by {made} ({size} bytes), but the bridge is {bits}-bit"
         yield found("DOC215", what)
     if not other:
         yield fine("DOC215", "semaphores have this machine's word size")
@@ -170,7 +170,7 @@ def locks(
     command = _remove(*(same[name] for name in taken)) if taken else ""
     yield judged("DOC214", what, "no semaphore of a classic topic stays locked", command=command)
     many = [f"{name} ({value})" for name, value in most.items() if value > 1]
-    what = f"admits more than one process: {listed(many)}" if many else ""
+    what = f"semaphores that admit more than one process: {listed(many)}" if many else ""
     yield judged("DOC216", what, "no semaphore admits more than one process")
 
 
@@ -184,9 +184,9 @@ def sizes(directory: Path, plans: Sequence[tuple[str, ClassicPlan, int]]) -> Ite
     for topic, plan, record in plans:
         path = directory / plan.name
         if path.is_file() and (size := path.stat().st_size) < record:
-            what = f"{topic}: {path} has {size} bytes, the record {record}"
+            what = f"{topic}: {path} has {size} bytes, but the record has {record}"
             small.append(found("DOC217", what, command=_remove(path)))
-    yield from small or [fine("DOC217", "memories of classic topics are large enough")]
+    yield from small or [fine("DOC217", "the shared memory of classic topics is large enough")]
 
 
 def create_or_open(
@@ -206,7 +206,7 @@ def create_or_open(
         closed = [name for name, owner in owners.items() if owner not in (uid, folder.st_uid)]
         if closed and not seen:
             who = (
-                f"{user_name(owners[closed[0]])} owns {listed(closed)}, the runtime runs as {user_name(uid)}"
+                f"{user_name(owners[closed[0]])} owns {listed(closed)}; the runtime runs as {user_name(uid)}"
             )
             seen = f"fs.protected_regular is {protected}; {who}"
-    yield judged("DOC218", seen, "the kernel lets the runtime create-or-open classic objects")
+    yield judged("DOC218", seen, "the kernel lets the runtime open classic objects with O_CREAT")

@@ -40,16 +40,16 @@ def architecture(
 ) -> Iterator[Finding]:
     """Judge the kernel (as ``uname -m`` and ``-r`` print it) and the word size of this Python."""
     seen, little = f"Linux {release} on {machine}", byte_order == "little"
-    wrong = "" if machine in _TESTED else f"{seen}, which rosplc is not tested on"
+    wrong = "" if machine in _TESTED else f"{seen}, on which rosplc is not tested"
     wrong = wrong if little else f"{seen}, which is big-endian"
     yield judged("DOC101", wrong, seen, level=None if little else Level.ERROR)
-    mixed = f"Python has 32 bits on a kernel of 64 ({machine})" if bits == 32 and machine in _WIDE else ""
-    yield judged("DOC102", mixed, f"Python has {bits} bits")
+    mixed = f"32-bit Python on a 64-bit kernel ({machine})" if bits == 32 and machine in _WIDE else ""
+    yield judged("DOC102", mixed, f"{bits}-bit Python")
 
 
 def clock(now_s: float) -> Iterator[Finding]:
     """Judge the time of day, in seconds since 1970."""
-    unset = "the clock is before 2025: it has not been set since the machine started"
+    unset = "the clock shows a time before 2025: it has not been set since the machine started"
     remedy = "Set the clock; a board without a battery needs NTP or PTP."
     seen = unset if now_s < _RELEASED_S else ""
     yield judged("DOC103", seen, "the clock is plausible", remedy, "timedatectl set-ntp true")
@@ -63,7 +63,7 @@ def open_files(limit: int, topics: int) -> Iterator[Finding]:
         allowed = "any number of" if limit == resource.RLIM_INFINITY else str(limit)
         yield fine("DOC104", f"{allowed} open files are allowed")
         return
-    seen = f"{limit} open files are allowed; {topics} topics take {least} to {usual}"
+    seen = f"{limit} open files are allowed; {topics} topics need {least} to {usual}"
     remedy = f"Raise the limit in the shell, or with LimitNOFILE={usual} in a systemd unit."
     level = Level.ERROR if limit < least else Level.WARNING
     yield found("DOC104", seen, remedy, f"ulimit -n {usual}", level)
@@ -77,8 +77,8 @@ def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding
     """
     may_run = priority != 0 or capabilities >> _CAP_SYS_NICE & 1
     may_lock = locked == resource.RLIM_INFINITY or locked >= _ENOUGH or capabilities >> _CAP_IPC_LOCK & 1
-    amount = "any" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
-    seen = f"highest real-time priority {priority}, {amount} of locked memory"
+    amount = "any amount" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
+    seen = f"permitted: real-time priority {priority} at most, {amount} of locked memory"
     remedy = "If real time matters, set LimitRTPRIO= and LimitMEMLOCK= in the systemd unit."
     well = "real-time priority and locked memory are permitted"
     yield judged("DOC105", "" if may_run and may_lock else seen, well, remedy)
@@ -91,16 +91,16 @@ def logout(root: Path, uid: int, user: str) -> Iterator[Finding]:
     """
     value, where = _remove_ipc(root)
     if not (root / "run/systemd/seats").is_dir():
-        yield fine("DOC106", "no systemd-logind runs here")
+        yield fine("DOC106", "systemd-logind is not running")
     elif not value:
         yield fine("DOC106", f"RemoveIPC=no in {where}")
     elif uid < _FIRST_PERSON or uid in _SERVICES:
-        yield fine("DOC106", f"{user} is a system user, whose objects systemd leaves alone")
+        yield fine("DOC106", f"{user} is a system user, so systemd does not remove its objects")
     elif (root / "var/lib/systemd/linger" / user).exists():
         yield fine("DOC106", f"{user} has lingering enabled, so systemd removes nothing")
     else:
         seen = f"RemoveIPC=yes ({where}), and {user} is an ordinary user"
-        remedy = "Run the bridge as a system user (`rosplc service install`), or enable lingering for it."
+        remedy = "Run the bridge as a system user (`rosplc service install`), or enable lingering."
         yield found("DOC106", seen, remedy, f"sudo loginctl enable-linger {user}")
 
 
@@ -129,8 +129,8 @@ def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
     if not directory.is_dir():
         yield found("DOC201", f"{directory} is not a folder", command=f"mkdir -p {directory}")
     elif directory != Path("/dev/shm"):
-        seen = f"shm.directory is {directory}, where a PLC does not look"
-        yield found("DOC201", seen, "Remove shm.directory, unless it is for a test.", level=Level.WARNING)
+        seen = f"shm.directory is {directory}, but PLCs use /dev/shm"
+        yield found("DOC201", seen, "Remove shm.directory, unless this is a test.", level=Level.WARNING)
     elif mount is None or mount.point != "/dev/shm" or mount.kind not in ("tmpfs", "ramfs"):
         is_there = mount is not None and mount.point == "/dev/shm"
         what = f"it is {mount.kind}" if mount is not None and is_there else "nothing is mounted there"
@@ -164,14 +164,14 @@ def room(directory: Path, space: os.statvfs_result, needed: int, present: int) -
     if missing > free:
         # A bridge makes a new object beside the old one, so twice the need is required.
         mib = -(-(size + 2 * missing) // _MIB)
-        remedy = "Enlarge it, or lower limits and depth; for a container, use --shm-size."
+        remedy = "Enlarge it (containers: --shm-size), or lower the limits or depth of topics."
         command = f"sudo mount -o remount,size={mib}m {directory}"
         what = f"{seen}; the configuration's objects need {_mib(missing)} more"
         yield found("DOC203", what, remedy, command)
     elif size and free < size / 10:
         yield found("DOC204", seen, command=f"ls -lS {directory}")
     else:
-        more = f"; the configuration's objects take {_mib(needed)}" if needed else ""
+        more = f"; the configuration's objects need {_mib(needed)}" if needed else ""
         yield fine("DOC203", seen + more)
 
 
@@ -209,21 +209,21 @@ def packages(
     if missing:
         command = pip_here(f"pip install {' '.join(missing)}")
         yield found("DOC110", f"not installed: {', '.join(missing)}", command=command)
-    yield fine("DOC110", f"rosplc {release}, Python {python}, {', '.join(present) or 'nothing else'}")
+    yield fine("DOC110", f"rosplc {release}, Python {python}, {', '.join(present) or 'no other packages'}")
 
 
 def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
     """Report which ways into ROS have no wheel on PyPI for this machine (``uname -m``) and Python."""
     missing = []
     if machine not in _DDS_MACHINES:
-        missing.append(f"cyclonedds has none for {machine}")
+        missing.append(f"cyclonedds for {machine}")
     elif python >= (3, 14):
-        missing.append(f"cyclonedds has none for Python {python[0]}.{python[1]}")
+        missing.append(f"cyclonedds for Python {python[0]}.{python[1]}")
     if machine not in _ZENOH_MACHINES:
-        missing.append(f"eclipse-zenoh has none for {machine}")
-    remedy = "Use an installed ROS 2 (backend rclpy), Zenoh, or build the package."
-    well = "PyPI has a wheel of cyclonedds and of eclipse-zenoh for this machine"
-    yield judged("DOC111", f"wheels on PyPI: {'; '.join(missing)}" if missing else "", well, remedy)
+        missing.append(f"eclipse-zenoh for {machine}")
+    remedy = "Use an installed ROS 2 (backend rclpy) or Zenoh, or build the package from source."
+    well = "PyPI has wheels of cyclonedds and eclipse-zenoh for this machine"
+    yield judged("DOC111", f"PyPI has no wheel of {', '.join(missing)}" if missing else "", well, remedy)
 
 
 def backend(

@@ -35,7 +35,7 @@ def distro(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     """Compare the shell's ROS distribution with the configuration's."""
     here = environment.get("ROS_DISTRO", "")
     other = wish is not None and here and here != wish.distro
-    seen = f"ROS_DISTRO is {here}, the configuration's ros.distro is {wish.distro}" if wish and other else ""
+    seen = f"ROS_DISTRO is {here}, but ros.distro is {wish.distro}" if wish and other else ""
     unset = "ROS_DISTRO is not set: no ROS installation is sourced, and none is needed"
     remedy = f"Write `ros: {{distro: {here}}}`, or source the setup.bash of ros.distro."
     yield judged("DOC401", seen, f"ROS_DISTRO is {here}" if here else unset, remedy)
@@ -58,7 +58,7 @@ def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
         if (value := environment.get(name, "")) and not holds(value)
     ]
     for name, value, right in wrong:
-        yield found("DOC403", f"{name} is {value!r}; it is {right}", command=f"unset {name}")
+        yield found("DOC403", f"{name} is {value!r}; it must be {right}", command=f"unset {name}")
     if not wrong:
         yield fine("DOC403", "the ROS environment variables have valid values")
 
@@ -71,8 +71,8 @@ def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     if wish is None or wish.domain is None:
         yield fine("DOC402", f"ROS domain {here}")
         return
-    what = f"the configuration's ros.domain is {wish.domain}; nodes of this shell are in domain {here}"
-    well = f"ROS domain {here}, in the shell and in the configuration"
+    what = f"ros.domain is {wish.domain}, but nodes started from this shell use domain {here}"
+    well = f"shell and configuration use ROS domain {here}"
     command = f"export ROS_DOMAIN_ID={wish.domain}"
     yield judged("DOC402", "" if str(wish.domain) == here else what, well, command=command)
 
@@ -90,7 +90,7 @@ def middleware(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Fi
         what = "" if zenoh == (rmw == "rmw_zenoh_cpp") else f"{word}, but the backend is {wish.backend}"
         remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or unset RMW_IMPLEMENTATION for nodes."
         command = "export RMW_IMPLEMENTATION=rmw_zenoh_cpp" if zenoh else ""
-        yield judged("DOC404", what, f"{word}, as backend {wish.backend} does", remedy, command)
+        yield judged("DOC404", what, f"{word}, which fits backend {wish.backend}", remedy, command)
 
 
 def reach(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
@@ -100,12 +100,12 @@ def reach(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding
     variable = "ROS_AUTOMATIC_DISCOVERY_RANGE"
     peers = environment.get("ROS_STATIC_PEERS", "")
     if environment.get("ROS_LOCALHOST_ONLY") == "1":
-        yield found("DOC405", "ROS_LOCALHOST_ONLY=1: only nodes of this machine are found")
+        yield found("DOC405", "ROS_LOCALHOST_ONLY=1: only nodes on this machine are found")
     elif environment.get(variable) == "OFF":
         yield found("DOC405", f"{variable}=OFF: no node is found", "Unset the variable.", f"unset {variable}")
     else:
-        more = f", and those at {peers}" if peers else ""
-        local = f"{variable}=LOCALHOST: nodes of this machine{more} are found"
+        more = f" and at {peers}" if peers else ""
+        local = f"{variable}=LOCALHOST: only nodes on this machine{more} are found"
         well = f"discovery reaches the subnet{f' and {peers}' if peers else ''}"
         yield judged("DOC405", local if environment.get(variable) == "LOCALHOST" else "", well)
 
@@ -136,7 +136,7 @@ def addresses(
         try:
             numbers = resolve(text)
         except (OSError, UnicodeError):
-            yield found("DOC406", f"{name}={text} has no address")
+            yield found("DOC406", f"{name}={text} cannot be resolved")
             return
     seen = "" if any(map(is_local, numbers)) else f"{name}={text} is not an address of this machine"
     yield judged("DOC410", seen, f"{name}={text} is an address of this machine", command=f"unset {name}")
@@ -151,9 +151,9 @@ def _peers(text: str, resolve: Callable[[str], list[str]]) -> Iterator[Finding]:
         except (OSError, UnicodeError):
             bad.append(host)
     if hosts:
-        seen = f"no address: {listed(f'{host} (ROS_STATIC_PEERS)' for host in bad)}" if bad else ""
+        seen = f"cannot be resolved: {listed(f'{host} (ROS_STATIC_PEERS)' for host in bad)}" if bad else ""
         command = f"getent hosts {bad[0]}" if bad else ""
-        yield judged("DOC406", seen, "names in ROS_STATIC_PEERS have addresses", command=command)
+        yield judged("DOC406", seen, "all names in ROS_STATIC_PEERS can be resolved", command=command)
 
 
 _UP, _LOOPBACK, _MULTICAST = 0x1, 0x8, 0x1000
@@ -198,7 +198,7 @@ def multicast(sys: Path) -> Iterator[Finding]:
             good.append(folder.name)
     what, command = "no interface is up, not even loopback", "sudo ip link set lo up"
     if local:
-        what = "no interface but loopback is up with multicast: only nodes of this machine can be found"
+        what = "only loopback is up with multicast: only nodes on this machine can be found"
         command = "ip link"
     yield judged("DOC407", "" if good else what, f"multicast on {', '.join(good)}", command=command)
 
@@ -211,7 +211,7 @@ def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -
     """
     default = default_buffer(root)
     if not default:
-        what = "not visible from here: net.core.rmem_default"
+        what = "net.core.rmem_default cannot be read here"
         yield found("DOC003", what, "Run the doctor outside the container.")
         return
     ours = cyclone_buffer(root) if cyclone else default
@@ -226,8 +226,8 @@ def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -
             level = level if plan.qos.reliability == "reliable" else Level.WARNING
     wanted = max(1 << 22, 1 << needed.bit_length() + 1)
     command = f"sudo sysctl -w net.core.rmem_default={wanted} net.core.rmem_max={wanted}"
-    seen = f"larger than a receive buffer: {listed(large)}" if large else ""
-    well = "the largest messages fit into the sockets' receive buffers"
+    seen = f"messages larger than the receive buffer: {listed(large)}" if large else ""
+    well = "the largest messages fit into the receive buffers"
     yield judged("DOC411", seen, well, command=command, level=level)
 
 
@@ -266,7 +266,7 @@ def master(
         return
     what = f"nothing answers at {uri}: {reason}" if (reason := call(host, port)) else ""
     if not what and (reason := ask(uri)):
-        what = f"what answers at {uri} is not a ROS master: {reason}"
+        what = f"the server at {uri} is not a ROS master: {reason}"
     yield judged("DOC408", what, f"the ROS master answers at {uri}", command="roscore")
 
 
@@ -277,8 +277,8 @@ def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answer
         host, _, rest = address.rpartition(":")
         port = rest.partition("?")[0].partition("#")[0]
         if protocol not in ("tcp", "tls", "ws") or not port.isdigit():
-            what = f"not visible from outside: whether anything answers at {locator}"
-            yield found("DOC003", what, "No action needed: the bridge reports it.")
+            what = f"cannot check whether a router answers at {locator}"
+            yield found("DOC003", what, "No action needed: the bridge reports whether it connects.")
             continue
         reason = call(host.strip("[]"), int(port))
         what = f"nothing answers at {locator}: {reason}" if reason else ""

@@ -246,7 +246,7 @@ def _watch(watched: list[_Watched], seconds: float, sleep: Callable[[float], Non
 
 
 _NO_LAYOUT = "0" * 16
-_RESTART = "See the log of the bridge, and restart it."
+_RESTART = "See the bridge's log, and restart the bridge."
 
 
 @dataclass(frozen=True)
@@ -275,23 +275,23 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
     """
     held = {each.use: each.live for each in topics} | dict(classic)
     calls = any(each.use != each.name for each in topics)
-    start, count = f"rosplc run {config}", plural(len(held), "use" if calls else "topic")
+    start, count = f"rosplc run {config}", plural(len(held), "entry" if calls else "topic")
     if not held:
         return
     if not any(held.values()):
-        yield found("DOC601", f"no bridge holds any of {count}", command=start)
+        yield found("DOC601", f"no bridge is running for {count}", command=start)
         return
     missing = [topic for topic, is_held in held.items() if not is_held]
-    what = f"a bridge is running, but does not hold {listed(missing)}" if missing else ""
+    what = f"a bridge is running, but does not carry {listed(missing)}" if missing else ""
     remedy = "Restart the bridge with this configuration."
-    yield judged("DOC601", what, f"a bridge holds {count}", remedy, start if missing else "", Level.WARNING)
+    yield judged("DOC601", what, f"a bridge carries {count}", remedy, start if missing else "", Level.WARNING)
     silent = [
         each.use
         for each in topics
         if each.live and each.seen and not each.seen.bridge_beats and not is_starting(each.seen.bridge_pid)
     ]
     if silent:
-        what = f"a bridge holds {listed(dict.fromkeys(silent))}, but has no heartbeat: it hangs or is stopped"
+        what = f"the bridge of {listed(dict.fromkeys(silent))} has no heartbeat: it hangs or is stopped"
         yield found("DOC601", what, _RESTART, level=Level.ERROR)
 
 
@@ -308,11 +308,11 @@ def bridges(objects: Objects) -> Iterator[Finding]:
         if not silent:
             yield fine("DOC601", f"{bridge} is running with {count}")
         elif is_starting(pid):
-            yield fine("DOC601", f"{bridge} holds {count} and is starting")
+            yield fine("DOC601", f"{bridge} is starting with {count}")
         else:
             words = process_words(pid) if pid else ""
             why = f"process {pid}, {words}" if words else "it hangs or is stopped"
-            what = f"{bridge} holds {listed(seen.label for seen in silent)}, but has no heartbeat: {why}"
+            what = f"{bridge} has no heartbeat for {listed(seen.label for seen in silent)}: {why}"
             yield found("DOC601", what, _RESTART, level=Level.ERROR)
 
 
@@ -326,25 +326,25 @@ def layouts(topics: Sequence[Carried]) -> Iterator[Finding]:
     ]
     yield from wrong
     if not wrong and any(each.live for each in topics):
-        yield fine("DOC602", "the running bridge's layouts are those of the configuration")
+        yield fine("DOC602", "running bridge and configuration have the same layouts")
 
 
 def _difference(plan: Carried, seen: Seen) -> str:
     identity, description = seen.identity, seen.description
     assert identity is not None
     if identity.direction is not plan.direction:
-        return f"the object's direction is {identity.direction.word}, but configured is {plan.direction.word}"
+        return f"the object's direction is {identity.direction.word}, but {plan.direction.word} is configured"
     if identity.layout_id == plan.layout.layout_id:
         return ""
-    what = f"layout {identity.layout_id} there, {plan.layout.layout_id} here"
+    what = f"layout {identity.layout_id} running, {plan.layout.layout_id} configured"
     if description is None:
         return what
     if description.type != plan.layout.type_name:
-        return f"{what}: {description.type} there, {plan.layout.type_name} here"
+        return f"{what}: {description.type} running, {plan.layout.type_name} configured"
     limits = plan.layout.limits.to_dict()
     there = {key: value for key, value in description.limits.items() if limits.get(key) != value}
     here = {key: limits.get(key) for key in there}
-    return f"{what}: limits {there} there, {here} here" if there else f"{what}: the definition differs"
+    return f"{what}: limits {there} running, {here} configured" if there else f"{what}: definitions differ"
 
 
 def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
@@ -368,8 +368,8 @@ def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
             elif line.error:
                 code = f"SHM{line.error:03d}"
                 what = f"{plan.name}: task {line.task or line.pid} reports error {code}"
-                refused.append(found("DOC604", what, f"`rosplc explain {code}` explains it."))
-    yield from refused or [fine("DOC604", "no PLC task expects another layout")]
+                refused.append(found("DOC604", what, f"Run `rosplc explain {code}`."))
+    yield from refused or [fine("DOC604", "no PLC task expects a different layout")]
 
 
 def refusals(topics: Sequence[Carried]) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from rosplc.doctor.kinds import fine, found, judged
 from rosplc.harmless import listed, plural
 
 _SHARE = (
-    "Start both containers with one /dev/shm: docker run --ipc=host, or in compose `ipc: host` "
+    "Start both containers with the same /dev/shm: docker run --ipc=host, or in compose `ipc: host` "
     "(or `ipc: shareable` on one and `ipc: service:NAME` on the other), or -v /dev/shm:/dev/shm."
 )
 _NAME = "codesyscontrol"
@@ -130,9 +130,9 @@ def runtimes(seen: Sequence[Runtime], machine_bits: int, *, classic: bool) -> It
     who = (f"{each.name} (process {each.pid}, user {user_name(each.uid)})" for each in seen)
     yield fine("DOC301", f"running: {listed(who)}")
     for each in (each for each in seen if not each.bits):
-        yield found("DOC003", f"not visible: the word size of process {each.pid} ({each.name})")
+        yield found("DOC003", f"cannot find out the word size of process {each.pid} ({each.name})")
     narrow = [each for each in seen if each.bits == 32 and machine_bits == 64]
-    what = f"{narrow[0].name} (process {narrow[0].pid}) has 32 bits on a kernel of 64" if narrow else ""
+    what = f"{narrow[0].name} (process {narrow[0].pid}) is 32-bit on a 64-bit kernel" if narrow else ""
     level = Level.ERROR if classic else None
     yield judged("DOC302", what, "the runtime has the kernel's word size", level=level)
 
@@ -155,7 +155,7 @@ def rights(files: Sequence[File], uid: int, gids: frozenset[int]) -> Iterator[Fi
     owner = f"{user_name(first.uid)}:{group} {first.mode:04o}"
     what = f"{user} may not open {listed(file.name for file in closed)} ({owner})"
     make, shared = "", "shm: {group: plc, mode: '0660'}"
-    remedy = f"Put {user} into the group {group}, and start the runtime again."
+    remedy = f"Add {user} to the group {group}, and restart the runtime."
     if first.gid == 0 or first.mode & 0o060 != 0o060:
         make, group = "sudo groupadd --force plc && ", "plc"
         remedy = f"Create a group that contains {user}, and give the objects to it with {shared}."
@@ -169,7 +169,7 @@ def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]
     """
     hidden = [each for each in seen if each.shm is None]
     for each in hidden:
-        yield found("DOC003", f"not visible: the /dev/shm of process {each.pid} ({each.name})")
+        yield found("DOC003", f"cannot find out which /dev/shm process {each.pid} ({each.name}) uses")
     for each in seen:
         if each.shm is not None and own is not None and each.shm.device != own.device:
             yield found("DOC304", f"{each.name} (process {each.pid}) has its own /dev/shm", _SHARE)
@@ -185,7 +185,7 @@ def container(root: Path, environment_word: str, *, runtime_seen: bool) -> Itera
     """
     sign = _container_sign(root, environment_word)
     alone = f"the doctor runs in a container ({sign}) without a PLC runtime"
-    well = f"doctor and PLC runtime are in a container ({sign})" if sign else "no sign of a container"
+    well = f"the doctor and the PLC runtime are in a container ({sign})" if sign else "no sign of a container"
     yield judged("DOC305", alone if sign and not runtime_seen else "", well, _SHARE)
 
 
