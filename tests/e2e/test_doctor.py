@@ -198,7 +198,7 @@ def test_an_older_configuration_runs(
     newer = config(TOPICS.replace("Int32", "Int64", 1), name="newer.yaml")
     (finding,) = doctor(newer)["DOC602"]
     assert finding["level"] == "error" and "/in" in finding["seen"]
-    assert f"{INT} there, {LONG} here" in finding["seen"]
+    assert f"{INT} running, {LONG} configured" in finding["seen"]
 
 
 @pytest.mark.foreign
@@ -236,7 +236,7 @@ def test_generated_code(config: Callable[..., Path], bridges: list[Bridge], shm_
     newer = config(text.replace("40", "20"), name="newer.yaml")
     found = doctor(newer, folder)
     assert levels(found, "DOC702") == ["error"] and levels(found, "DOC703") == ["ok"]
-    assert "`data : STRING(40)` there, `data : STRING(20)` here" in found["DOC702"][0]["seen"]
+    assert "`data : STRING(40)` in the code, `data : STRING(20)` expected" in found["DOC702"][0]["seen"]
     rosplc("generate", newer, "--out", folder)
     found = doctor(newer, folder)
     assert levels(found, "DOC702") == ["ok"] and levels(found, "DOC703") == ["error"]

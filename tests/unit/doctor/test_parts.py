@@ -82,7 +82,7 @@ def test_a_look_at_the_graph_that_hangs_is_ended(stage: Stage, monkeypatch: pyte
     monkeypatch.setattr("rosplc.doctor.graph._START_S", 0.2)
     probe = Probe("the graph", Area.GRAPH, lambda: see_graph(stage.root / "x.yaml", 0.1, {}) and ())  # type: ignore[func-returns-value]
     (finding,) = run_probe(probe)
-    assert finding.code == "DOC002" and "did not end" in finding.seen
+    assert finding.code == "DOC002" and "did not finish" in finding.seen
 
 
 def test_a_look_at_the_graph_that_crashes_is_told(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,9 +156,8 @@ def test_services_and_actions_are_compared_with_the_graph(tmp_path, shm_namespac
     grip = ("/grip", "std_srvs/srv/Trigger", "/robot")
     assert judged(move, grip, ("/start", "std_srvs/srv/SetBool", "/rosplc_cell")) == {}
     assert "the action /arm/move" in judged(grip)["DOC519"].seen
-    assert (
-        "as the PLC does" in judged(move, grip, ("/start", "std_srvs/srv/SetBool", "/robot"))["DOC520"].seen
-    )
+    both = judged(move, grip, ("/start", "std_srvs/srv/SetBool", "/robot"))["DOC520"]
+    assert "which the PLC also serves" in both.seen
     assert "std_srvs/srv/Empty" in judged(move, ("/grip", "std_srvs/srv/Empty", "/robot"))["DOC512"].seen
 
 
