@@ -197,7 +197,7 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
         count += 1
         identity, word = seen.identity, seen.identity.direction.word
         if block.to_plc is not (identity.direction is Direction.TO_PLC):
-            wrong.append(f"{block.label}: the object's direction is {word}, the block's is the opposite [SHM110]")
+            wrong.append(f"{block.label}: the object's direction is {word}, unlike the block's [SHM110]")
         elif identity.layout_id != block.layout_id:
             sizes = f"{block.record_size} and {identity.record_size} bytes"
             what = f"layout {block.layout_id} in the code, {identity.layout_id} in the bridge ({sizes})"
