@@ -71,7 +71,7 @@ def judge_graph(
         )
         yield judged("DOC516", what, f"{plural(len(others), 'node')} in {graph.where}: {listed(others)}")
     if bridge_runs:
-        what = f"a bridge is running, but {graph.bridge} is not in {graph.where}"
+        what = f"a bridge is running, but its node {graph.bridge} is not in {graph.where}"
         well = f"the bridge's node {graph.bridge} is in the graph"
         yield judged("DOC517", "" if graph.bridge in info.nodes else what, well)
     for plan in plans:

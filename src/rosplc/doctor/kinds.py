@@ -44,8 +44,8 @@ _E, _W, _N = Level.ERROR, Level.WARNING, Level.NOTE
 
 _A = Area.DOCTOR
 _register("DOC001", _A, _W, "failed examination", "The examination could not be completed, so the result is unknown.", "See the message, and run the doctor again; if a permission is missing, run it as root.")
-_register("DOC002", _A, _W, "examination that timed out", "The examination did not finish within its time limit, so the result is unknown. The resource being checked is probably not responding.", "Check the resource in the message. Common causes are unresponsive file systems and slow host name lookups.")
-_register("DOC003", _A, _N, "resources that only another user may read", "This user has no permission to read the resource in the message.", "Run the doctor as root.")
+_register("DOC002", _A, _W, "examination that timed out", "The examination did not finish within its time limit, so the result is unknown. The resource being checked is probably not responding.", "Check the resource shown in the message. Common causes are unresponsive file systems and slow host name lookups.")
+_register("DOC003", _A, _N, "resources that only another user may read", "This user has no permission to read the resource shown in the message.", "Run the doctor as root.")
 
 _A = Area.MACHINE
 _register("DOC101", _A, _W, "kernel and architecture", "rosplc is tested on x86-64 and, with cross-compilers and an emulator, on ARM. The shared-memory format requires a little-endian machine.", "Run rosplc on x86-64 or ARM.")
@@ -56,7 +56,7 @@ _register("DOC105", _A, _N, "real-time permissions", "Without these permissions,
 _register("DOC106", _A, _W, "logout", "When the last session of an ordinary user ends, systemd removes everything that the user owns in /dev/shm, including objects of a running bridge.", "Run the bridge as a system user, or disable RemoveIPC in systemd.")
 _register("DOC110", _A, _E, "installed packages", "A package that rosplc needs is missing.", "Reinstall rosplc with its dependencies.")
 _register("DOC111", _A, _N, "backends without a package for this machine", "PyPI has no wheel of the backend's package for this architecture or Python version.", "Use another backend, or build the package from source.")
-_register("DOC112", _A, _E, "backend that `auto` selects", "No installed backend can connect to the ROS graph; the bridge would not start (ROS001).", "Install one of the backends in the message.")
+_register("DOC112", _A, _E, "backend that `auto` selects", "No installed backend can connect to the ROS graph; the bridge would not start (ROS001).", "Install one of the backends listed in the message.")
 _register("DOC113", _A, _E, "backend of the configuration", "The package of the backend is not installed; the bridge would not start (ROS001).", "Install the package, or set another backend in ros.backend.")
 
 _A = Area.MEMORY
@@ -64,10 +64,10 @@ _register("DOC201", _A, _E, "file system of /dev/shm", "Without /dev/shm there i
 _register("DOC202", _A, _E, "mode of /dev/shm", "The folder must be writable by all users and have the sticky bit set (mode 1777).", "Restore the mode.")
 _register("DOC203", _A, _E, "space for the configuration's objects", "The objects do not fit into /dev/shm; the bridge would not start (SHM117).", "Enlarge /dev/shm, or lower the limits or depth of topics.")
 _register("DOC204", _A, _W, "free space", "Less than a tenth of /dev/shm is free; a bridge may fail to create an object.", "Remove files that are not in use, or enlarge /dev/shm.")
-_register("DOC205", _A, _N, "objects without a bridge", "A stopped bridge leaves its objects in place, so that the PLC keeps the last values; the next start reuses the objects.", "No action needed if the bridge will start again; otherwise remove the objects.")
+_register("DOC205", _A, _N, "objects without a bridge", "A stopped bridge leaves its objects in place, so that the PLC keeps the last values. The bridge reuses the objects at its next start.", "No action needed if the bridge will start again; otherwise remove the objects.")
 _register("DOC206", _A, _W, "objects that are not in the configuration", "The objects have the configuration's prefix, but belong to none of its topics: another bridge uses this prefix, or a topic was removed from the configuration.", "Remove the objects if no other configuration uses this prefix.")
-_register("DOC207", _A, _N, "temporary files", "A bridge was killed while it was creating an object. The next start removes these files.", "Start the bridge, or remove the files.")
-_register("DOC208", _A, _N, "retired objects", "A bridge was killed after it retired an object and before it created the successor. The next start replaces such objects.", "Start the bridge.")
+_register("DOC207", _A, _N, "temporary files", "A bridge was killed while it was creating an object. The bridge removes these files at its next start.", "Start the bridge, or remove the files.")
+_register("DOC208", _A, _N, "retired objects", "A bridge was killed after it retired an object and before it created the successor. The bridge replaces such objects at its next start.", "Start the bridge.")
 _register("DOC209", _A, _W, "objects of another user", "No bridge uses these objects, and a bridge of this user could not reuse them (SHM119).", "Start the bridge as their owner, or remove the objects.")
 _register("DOC210", _A, _W, "objects accessible to all users", "Every user on this machine can read or change the data that the robot and the PLC exchange.", "Restrict shm.mode, and give the objects to one group.")
 _register("DOC211", _A, _E, "damaged objects", "Another program wrote into the objects, or uses their names; the PLC rejects such objects.", "Restart the bridge: it replaces its own objects.")
@@ -100,12 +100,12 @@ _register("DOC410", _A, _W, "this machine's address in ROS 1", "Other nodes rece
 _register("DOC411", _A, _W, "receive buffers of sockets", "The largest message of a topic does not fit into the receive buffer of a DDS subscriber. With best effort, most large messages are lost. If both sides are reliable, parts are resent, which takes time (the finding is then a note).", "Raise net.core.rmem_default on the subscriber's machine, or set reliability to reliable on both sides.")
 
 _A = Area.CONFIG
-_register("DOC501", _A, _E, "the configuration", "The configuration cannot be used; `rosplc check` shows the same errors.", "Correct the key in the message.")
+_register("DOC501", _A, _E, "the configuration", "The configuration cannot be used; `rosplc check` shows the same errors.", "Correct the reported key.")
 _register("DOC502", _A, _E, "owner and group of the objects", "The configured user or group does not exist on this machine. If this is a warning, it exists, but this user has no permission to give it objects.", "Create the user or group, or start the bridge as this user or a member of this group.")
 
 _A = Area.GRAPH
 _register("DOC510", _A, _E, "connecting to the ROS graph", "The doctor could not connect to the graph; the bridge probably cannot either.", "See the message.")
-_register("DOC511", _A, _W, "peers in ROS", "A topic towards the PLC has no publisher, or a topic from the PLC has no subscriber.", "Start the node, and compare topic name and domain.")
+_register("DOC511", _A, _W, "peers in ROS", "A topic towards the PLC has no publisher, or a topic from the PLC has no subscriber.", "Start the node, and check the topic name and the domain.")
 _register("DOC512", _A, _E, "types of topics", "Another node uses the topic with a different type (ROS003); no messages are exchanged.", "Correct `type:` of the topic, or change the node.")
 _register("DOC513", _A, _E, "definitions of types", "Another node has a different definition of the type (ROS003); no messages are exchanged.", "Install the same message package on both sides, or correct ros.distro or types.paths.")
 _register("DOC514", _A, _E, "quality of service", "The QoS of publisher and subscriber is incompatible (ROS004); no messages are exchanged.", "Set `qos:` of the topic as shown.")
@@ -113,7 +113,7 @@ _register("DOC515", _A, _W, "names of topics", "No node uses the topic, but the 
 _register("DOC516", _A, _W, "nodes in the graph", "No other node was seen.", "Start the robot's nodes; if they are running, check the domain, backend, container and firewall.")
 _register("DOC517", _A, _W, "the bridge in the graph", "A bridge is running with this configuration, but its node is not visible from here: it is in another domain or uses another protocol.", "Start the bridge and the doctor with the same environment.")
 _register("DOC518", _A, _N, "unknown definitions", "The other side does not announce its definition of the type (Humble, ROS 1), so only the name was compared.", "No action needed: the bridge reports mismatches in /diagnostics.")
-_register("DOC519", _A, _W, "servers in the ROS graph", "The PLC calls a service or action that no node serves. Calls from the PLC wait until they time out.", "Start the node, and compare name, type and domain.")
+_register("DOC519", _A, _W, "servers in the ROS graph", "The PLC calls a service or action that no node serves. Calls from the PLC wait until they time out.", "Start the node, and check the name, type and domain.")
 _register("DOC520", _A, _W, "number of servers", "A service or action has several servers (ROS022): each server executes every request, and the first response counts.", "Stop all servers but one, or rename the services of the others.")
 _register("DOC521", _A, _E, "services over another DDS", "A peer uses a DDS implementation other than Cyclone, with a different protocol for services (ROS021): calls between it and the bridge do not work.", "Set ros.backend: rclpy.")
 

@@ -88,7 +88,7 @@ def middleware(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Fi
     else:
         zenoh = wish.backend == "zenoh"
         what = "" if zenoh == (rmw == "rmw_zenoh_cpp") else f"{word}, but the backend is {wish.backend}"
-        remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or unset RMW_IMPLEMENTATION for nodes."
+        remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or unset RMW_IMPLEMENTATION for the nodes."
         command = "export RMW_IMPLEMENTATION=rmw_zenoh_cpp" if zenoh else ""
         yield judged("DOC404", what, f"{word}, which fits backend {wish.backend}", remedy, command)
 
@@ -198,7 +198,7 @@ def multicast(sys: Path) -> Iterator[Finding]:
             good.append(folder.name)
     what, command = "no interface is up, not even loopback", "sudo ip link set lo up"
     if local:
-        what = "only loopback is up with multicast: only nodes on this machine can be found"
+        what = "no active interface other than loopback supports multicast: only local nodes can be found"
         command = "ip link"
     yield judged("DOC407", "" if good else what, f"multicast on {', '.join(good)}", command=command)
 

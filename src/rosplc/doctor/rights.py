@@ -185,7 +185,7 @@ def container(root: Path, environment_word: str, *, runtime_seen: bool) -> Itera
     """
     sign = _container_sign(root, environment_word)
     alone = f"the doctor runs in a container ({sign}) without a PLC runtime"
-    well = f"the doctor and the PLC runtime are in a container ({sign})" if sign else "no sign of a container"
+    well = f"the doctor and the PLC runtime are in a container ({sign})" if sign else "no container detected"
     yield judged("DOC305", alone if sign and not runtime_seen else "", well, _SHARE)
 
 
