@@ -291,7 +291,7 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
         if each.live and each.seen and not each.seen.bridge_beats and not is_starting(each.seen.bridge_pid)
     ]
     if silent:
-        what = f"the bridge that carries {listed(dict.fromkeys(silent))} has no heartbeat: it hangs or is stopped"
+        what = f"the bridge for {listed(dict.fromkeys(silent))} has no heartbeat: it hangs or is stopped"
         yield found("DOC601", what, _RESTART, level=Level.ERROR)
 
 
