@@ -217,10 +217,10 @@ def report(outcome: Outcome) -> None:
     for name, good, seconds in outcome.steps:
         print(f"   {'passed' if good else 'FAILED':7} {name} ({seconds:.0f} s)")
     if outcome.unreached:
-        print(f"\nNot reached in the time given, neither passed nor failed: {len(outcome.unreached)} checks")
+        print(f"\nNot run for lack of time: {len(outcome.unreached)} checks")
         print_places(outcome.unreached)
     if outcome.absent:
-        print("\nNot run, because this machine cannot:")
+        print("\nNot run because this machine lacks something:")
         for reason in sorted(set(outcome.absent.values())):
             print(f"   {reason}")
             print_places(place for place, why in outcome.absent.items() if why == reason)
@@ -247,7 +247,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Run the project's checks.")
     parser.add_argument("steps", nargs="+", choices=STEPS)
     parser.add_argument(
-        "--minutes", default="", help="time for the whole run; foreign and long checks beyond it are left out"
+        "--minutes", default="", help="time for the whole run; foreign and long checks beyond it are skipped"
     )
     arguments = parser.parse_args()
     outcome = Outcome()

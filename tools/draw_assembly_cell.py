@@ -47,7 +47,7 @@ def image() -> str:
         box(334, 40, 172, 196, "area")
         + text(420, 66, "bridge", "bold")
         + text(420, 86, "rosplc run", "small"),
-        text(420, 140, "may be killed at any", "small") + text(420, 156, "moment, and comes back", "small"),
+        text(420, 140, "may be killed at any", "small") + text(420, 156, "time, and restarts", "small"),
         text(634, 66, "/dev/shm", "bold"),
         *channel(88, "/robot/state", "phase, placed …", to_plc=True),
         *channel(140, "/robot/hand_over", "goal, feedback, result", to_plc=False, both=True),
@@ -62,7 +62,7 @@ def image() -> str:
         stroke("M232 110H332") + stroke("M332 162H232") + text(282, 102, "DDS", "small"),
         # the machine
         box(20, 286, 920, 142, "area")
-        + text(480, 310, "what is really there, and outlives them all", "bold"),
+        + text(480, 310, "the physical cell, which survives all crashes", "bold"),
         box(60, 332, 130, 68) + text(125, 360, "tray") + text(125, 380, "housings, springs", "small"),
         box(334, 332, 172, 68, "full")
         + text(420, 360, "the nest of the press", "on")
@@ -83,10 +83,10 @@ def narrow() -> str:
     parts = [
         box(4, 4, 352, 100) + text(180, 24, "robot", "bold") + text(180, 42, "a ROS 2 node", "small"),
         box(4, 140, 352, 60, "area") + text(180, 161, "bridge: rosplc run", "bold"),
-        text(180, 182, "may be killed at any moment, and comes back", "small"),
+        text(180, 182, "may be killed at any time, and restarts", "small"),
         text(180, 236, "/dev/shm", "bold"),
         box(4, 432, 352, 100) + text(180, 452, "PLC", "bold") + text(180, 470, "Structured Text", "small"),
-        box(4, 568, 352, 222, "area") + text(180, 590, "what is really there, and outlives them all", "bold"),
+        box(4, 568, 352, 222, "area") + text(180, 590, "the physical cell: survives all crashes", "bold"),
         text(214, 127, "DDS", "small"),
     ]
     for y, kind, notes in (

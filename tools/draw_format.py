@@ -79,8 +79,8 @@ def region_map(*, narrow: bool = False) -> str:
     ]
     notes = (
         (0, 2, "constant once the object is visible", "but state: LIVE may become RETIRED, once"),
-        (2, 3, "stored by the writer only", "head names the newest message"),
-        (3, 3 + READER_LINES, "each stored by its claimant only", "a writer never waits for a line"),
+        (2, 3, "written only by the writer", "head: newest sequence number"),
+        (3, 3 + READER_LINES, "each written only by its claimant", "a writer never waits for a line"),
     )
     title = (
         f"An object of {made.object_size} bytes: two lines of identity, the writer's line, "
@@ -227,14 +227,14 @@ def torn_read(*, narrow: bool = False) -> str:
             parts.append(text(x, y + 20 + 18 * k, line, "bold on" if narrow and not k else "small on"))
 
     shown(78, scene.before, scene.head, "full")
-    note(reader, 70, f"loads head: {scene.head}", f"slot {slot} has sequence {scene.head}: begins to copy")
+    note(reader, 70, f"loads head: {scene.head}", f"slot {slot} has sequence {scene.head}: starts to copy")
     note(reader, 150, "…is preempted, half a record copied…", kind="busy")
     first, last = scene.published[0], scene.published[-1]
     note(writer, 180, f"publishes {first} … {last}", "and waits for no reader")
     shown(188, [*scene.published, scene.head], scene.head_after, "good")
     zero = scene.after[slot]
     note(
-        writer, 260, f"begins {last + 1}, which belongs in slot {slot}", f"sets its sequence to {zero} first"
+        writer, 260, f"starts {last + 1}, which belongs in slot {slot}", f"sets its sequence to {zero} first"
     )
     shown(268, scene.after, scene.head_after, "busy")
     note(reader, 330, "…continues, copies the rest: a mixture", kind="busy")
@@ -242,12 +242,12 @@ def torn_read(*, narrow: bool = False) -> str:
     note(
         reader,
         386,
-        f"looks again: head {scene.head_after}, sequence {zero}",
-        f"{behind} behind head, and {scene.window} is the most;",
-        f"sequence {zero} is not {scene.head}: thrown away",
+        f"checks again: head {scene.head_after}, sequence {zero}",
+        f"{behind} behind head, at most {scene.window} allowed;",
+        f"sequence {zero} is not {scene.head}: discarded",
         kind="bad",
     )
-    retry = f"tries once more with head {scene.retry}:"
+    retry = f"tries again with head {scene.retry}:"
     note(reader, 478, retry, "the writer is not near that slot; accepted", kind="good")
     if not narrow:
         parts.append(stroke(f"M{memory + 150:g} 92H{reader - 132:g}"))
@@ -256,16 +256,16 @@ def torn_read(*, narrow: bool = False) -> str:
         parts.append(stroke(f"M{reader - 132:g} 404H{memory + 4:g}V300"))
     for k, line in enumerate(
         (
-            "The copy goes into a shadow. What the PLC's",
-            "program sees changes only after the second",
-            f"look; after {MAX_RETRIES} failed repetitions the last",
+            "The copy goes into a shadow buffer. The",
+            "PLC program sees it only after the second",
+            f"check; after {MAX_RETRIES} failed retries, the last",
             "message stays until the next scan.",
         )
     ):
         parts.append(text(memory - 124, (bottom + 20 if narrow else 470) + 18 * k, line, "left small"))
     title = (
         f"A reader copies message {scene.head} and is interrupted; the writer fills its slot again; the "
-        "reader looks at head and sequence a second time, throws the copy away and takes the newest message."
+        "reader checks head and sequence a second time, discards the copy and takes the newest message."
     )
     if narrow:
         return picture(title, 0, NARROW, bottom + 86, parts)
@@ -321,7 +321,7 @@ def generations(*, narrow: bool = False) -> str:
         at = (sum(bridge[1:]) / 2, down(x) + 5) if narrow else (x, bridge[0] + 5)
         parts.append(text(*at, what, "small"))
 
-    span(110, 290, bridge, "box", "first bridge", "makes the object")
+    span(110, 290, bridge, "box", "first bridge", "creates the object")
     span(370, 590, bridge, "box", "next bridge", "same configuration: adopts")
     span(670, 940, bridge, "box", "bridge with another layout", "retires, then replaces")
     between(330, "kill -9")
@@ -336,10 +336,10 @@ def generations(*, narrow: bool = False) -> str:
     span(300, 410, plc, "busy", "stale", "no beat")
     span(410, 600, plc, "good", "recovered", "same mapping, continues")
     span(600, 700, plc, "busy", "stale", "no beat")
-    span(700, 800, plc, "busy", "lets go", "sees RETIRED")
-    span(800, 940, plc, "good", "opens again", "if the layout is its own")
+    span(700, 800, plc, "busy", "detaches", "sees RETIRED")
+    span(800, 940, plc, "good", "opens again", "if the layout matches")
     title = (
-        "A killed bridge leaves its object; the next one adopts it and the PLC notices silence only. A "
+        "A killed bridge leaves its object; the next one adopts it and the PLC only notices silence. A "
         "bridge with another layout retires the object in place and gives its name to a new generation."
     )
     if narrow:

@@ -60,7 +60,7 @@ def until(watch: Watch, condition: Callable[[Picture], bool]) -> None:
     end = time.monotonic() + SECONDS
     while not condition(watch.look()):
         if time.monotonic() > end:
-            raise SystemExit("draw_top: what should be seen did not come within a minute")
+            raise SystemExit("draw_top: the expected screen did not appear within a minute")
         time.sleep(0.2)
 
 

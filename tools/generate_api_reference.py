@@ -30,15 +30,15 @@ PACKAGES = {
         "attach Channel topics ObjectState bind Binding bind_service bind_action load_project Project "
         "ConfigErrors check generate Delivery RecordView SlotInfo Direction include_dir",
     ),
-    "rosplc.virtual_plc": ("Scan cycles over the same objects as a PLC, for laptops and CI.", ""),
+    "rosplc.virtual_plc": ("A virtual PLC with scan cycles over the same objects, for laptops and CI.", ""),
     "rosplc.model": ("Message types, from a distribution's definitions or from `.msg` text.", "TypeStore"),
     "rosplc.layout": (
-        "What a type becomes in memory: offsets, capacities, the layout id.",
+        "The layout of a type in memory: offsets, capacities, the layout id.",
         "compute_layout Layout Limits",
     ),
-    "rosplc.codec": ("Between wire bytes and records.", "Codec Wire"),
+    "rosplc.codec": ("Conversion between wire bytes and records.", "Codec Wire"),
     "rosplc.ros": (
-        "The ROS side for programs without ROS: a node of its own, over any backend.",
+        "Access to ROS for programs without ROS: a node over any backend.",
         "open_backend Backend Endpoint Publisher Subscription Qos EndpointStatus",
     ),
 }

@@ -70,7 +70,7 @@ def main() -> int:
     """Write or compare the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("report", type=Path, nargs="?", default=REPORT)
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
+    parser.add_argument("--verify", action="store_true", help="only report whether the page is up to date")
     arguments = parser.parse_args()
     report = Report.from_json(arguments.report.read_text(encoding="utf-8"), str(arguments.report))
     status = write_or_verify(PERFORMANCE, services(), verify=arguments.verify)

@@ -53,13 +53,13 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "",
     ]
     if violations:
-        lines += ["What did not hold:", "", *(f"* {text}" for text in violations), ""]
+        lines += ["Violations:", "", *(f"* {text}" for text in violations), ""]
     lines += [
         "### Recovery",
         "",
-        "From the end of the fault until a message that was sent after it has come through on every topic. "
-        "For a death the end is the start of the new process. Only runs whose PLC and ROS nodes were "
-        "forked are in this table.",
+        "Time from the end of the fault until a message sent afterwards has arrived on every topic. "
+        "If a process was killed, the fault ends when the new process starts. The table contains only runs "
+        "whose PLC and ROS nodes were forked.",
         "",
         *recovery_table(runs),
         "",
@@ -67,11 +67,11 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "",
         "### What each process held",
         "",
-        f"{processes(runs):,} processes lived to the end of a round. Of each part of each kind of cell the "
-        "longest life: medians of its first and its last quarter, for memory of its second half, when it has "
-        "settled; of the bridge's descriptors those that are no object's lock. A rise counts as a leak by "
-        "Mann's and Kendall's test for a trend, and by a size: "
-        f"{len(leaks) or 'none'} did.",
+        f"{processes(runs):,} processes lived to the end of a round. The table shows the longest-lived "
+        "process of each kind: medians of the first and last quarters of its life, or for memory of the "
+        "second half, after it has settled. The bridge's descriptors exclude the objects' locks. A rise is a "
+        "leak if it exceeds a threshold and passes the Mann-Kendall test for a trend. "
+        f"Leaks: {len(leaks) or 'none'}.",
         "",
         *trend_table(runs),
         "",
@@ -91,7 +91,7 @@ def main() -> int:
     """Write or compare the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("runs", type=Path, nargs="*")
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
+    parser.add_argument("--verify", action="store_true", help="only report whether the page is up to date")
     arguments = parser.parse_args()
     if arguments.runs:
         runs = [compact(json.loads(path.read_text(encoding="utf-8"))) for path in arguments.runs]

@@ -254,7 +254,7 @@ def pages() -> dict[Path, str]:
 
 
 def _errors(errors: Enumeration) -> list[str]:
-    lines = ["| number | name | meaning | what helps |", "| ---: | --- | --- | --- |"]
+    lines = ["| number | name | meaning | what to do |", "| ---: | --- | --- | --- |"]
     for name, number in errors.values[1:]:
         info = CODES[f"SHM{number}"]
         link = f"[{number}](errors.md#shm{number})"

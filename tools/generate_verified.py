@@ -47,7 +47,7 @@ ROS:
     rmw | nodes on rmw_cyclonedds or rmw_zenoh | independent implementations of their conventions
 Shared memory and conversion:
     spec | the specification suffices to implement the format
-    vectors | layouts and objects are what the specification says
+    vectors | layouts and objects match the specification
     c-layout | layouts equal those of a C compiler
     conversion | conversion loses nothing, for every bundled type
     torn | a reader never accepts a torn message
@@ -55,35 +55,35 @@ Shared memory and conversion:
     calls-once | a call is executed at most once, and reported truthfully
     kills | any process may be killed at any time
     campaign | nothing is torn, invented, lost uncounted or leaked under faults
-    objects | objects are owned, adopted, replaced and retired by the rules
+    objects | objects are owned, adopted, replaced and retired according to the rules
     hostile | hostile bytes, files, objects and names end in an error
-    limits | everything from outside has a bound
+    limits | all input from outside is limited
     users | other users can neither read nor block a running bridge
 The PLC:
     st-messages | generated Structured Text exchanges messages with a bridge, without loss
-    compilers | other compilers read the generated text; matiec compiles the blocks for OpenPLC v3 and Beremiz
+    compilers | other compilers accept the generated text; matiec compiles the OpenPLC v3 and Beremiz blocks
     call-blocks | blocks of services and actions follow their tables
-    blocks-conform | the blocks in C and for OpenPLC behave as those of CODESYS
+    blocks-conform | the blocks in C and for OpenPLC behave like those for CODESYS
     openplc | topics and services cross between a bridge and OpenPLC Runtime 4.1.4, also after kills
     beremiz | topics and services cross between a bridge and Beremiz' runtime, also after kills
     ros-blocks | blocks for logging, time, parameters and transforms exchange their data with a bridge
     fail-safe | stale topics get their safe value or substitute
     classic | classic topics work with existing projects
-    names | names and literals are valid, DUTs have the record's layout
+    names | names and literals are valid, and DUTs have the layout of the record
     import-script | the import script creates, updates and removes only its own objects
-    import-script-syntax | the import script is Python 2.7, as CODESYS' IronPython needs
+    import-script-syntax | the import script is Python 2.7, as CODESYS' IronPython requires
     plcopen | PLCopenXML has the shape that CODESYS writes
-    example-cell | in the example cell nothing is done twice or lost
+    example-cell | in the example cell, nothing is done twice or lost
     codesys | CODESYS: compiler, development system, runtime \
 | its text is translated to C and executed; [what only CODESYS can tell](#what-only-codesys-can-tell)
     openplc-v3 | the runtime of OpenPLC v3 | its compiler accepts the blocks
 Tools and operation:
-    configuration | a configuration error has its line; a reload applies completely or not at all
+    configuration | a configuration error has a line number; a reload applies completely or not at all
     views | views show the true state and change nothing
-    web | the web page works, and only for those who may
-    recordings | recordings hold or count every message, and other tools read them
+    web | the web page works, and only for authorized users
+    recordings | recordings contain or count every message, and other tools can read them
     recorder-killed | a killed recorder leaves a readable file
-    doctor | the doctor finds each problem, and only where it is
+    doctor | the doctor finds each problem, and reports none that does not exist
     comparison | the comparison's contenders are checked for correct values
     service | the service has the rights that it needs, and no more
     real-time-settings | real-time settings reach their threads

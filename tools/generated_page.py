@@ -18,7 +18,7 @@ def filled(path: Path, parts: Mapping[str, str]) -> str:
         begin = f"<!-- generated: {name} -->"
         before, _, rest = text.partition(begin)
         _, end, after = rest.partition(END)
-        assert end, f"{path.name} has no place for {begin}"
+        assert end, f"{path.name} does not contain {begin}"
         text = f"{before}{begin}\n\n{body.strip()}\n\n{END}{after}"
     return text
 
@@ -28,7 +28,7 @@ def write_or_verify(path: Path, text: str, *, verify: bool) -> int:
     if not verify:
         path.write_text(text, encoding="utf-8")
     elif not path.exists() or path.read_text(encoding="utf-8") != text:
-        print(f"{path.name} is not what its source says now; run `make reference`")
+        print(f"{path.name} is out of date; run `make reference`")
         return 1
     return 0
 
@@ -36,6 +36,6 @@ def write_or_verify(path: Path, text: str, *, verify: bool) -> int:
 def run(description: str | None, texts: Mapping[Path, str]) -> int:
     """Write files, or with ``--verify`` on the command line compare them; return the exit status."""
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
+    parser.add_argument("--verify", action="store_true", help="only report whether the page is up to date")
     verify = parser.parse_args().verify
     return max(write_or_verify(path, text, verify=verify) for path, text in texts.items())
