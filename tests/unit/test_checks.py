@@ -180,7 +180,7 @@ def test_summary_names_packages_and_unreached_checks(
     text = capsys.readouterr().out
     assert "ONE is not set\n      d (2 cases)\n" in text
     assert "sudo apt-get install one" in text
-    assert "neither passed nor failed: 1 checks\n      b\n" in text
+    assert "Not run for lack of time: 1 checks\n      b\n" in text
     assert "Skipped:\n   c: why not\n" in text
     assert "UNRELIABLE, failed and was repeated:\n      e (2 cases)\n" in text
     assert text.splitlines()[-1] == "==== 3 passed in 1.00s ===="
