@@ -199,8 +199,8 @@ class _Examination:
         self._classic = [(plan, plan.classic) for plan in project.topics if plan.classic is not None]
         self._directory, self._prefix = Path(project.namespace.directory), project.namespace.prefix
         several = len({(plan.kind, plan.called) for plan in project.calls})
-        more = f" and {several} services or actions" if several else ""
-        yield fine("DOC501", f"{path} is valid: {len(project.topics)} topics{more}")
+        more = f"; services and actions: {several}" if several else ""
+        yield fine("DOC501", f"{path} is valid: {plural(len(project.topics), 'topic')}{more}")
         yield self._owner(project)
 
     def _owner(self, project: Project) -> Finding:

@@ -101,7 +101,7 @@ _register("DOC411", _A, _W, "receive buffers of sockets", "The largest message o
 
 _A = Area.CONFIG
 _register("DOC501", _A, _E, "the configuration", "The configuration cannot be used; `rosplc check` shows the same errors.", "Correct the reported key.")
-_register("DOC502", _A, _E, "owner and group of the objects", "The configured user or group does not exist on this machine. If this is a warning, it exists, but this user has no permission to give it objects.", "Create the user or group, or start the bridge as this user or a member of this group.")
+_register("DOC502", _A, _E, "owner and group of the objects", "The configured user or group does not exist on this machine. If the level is warning, it exists, but this user may not assign objects to it.", "Create the user or group, or start the bridge as this user or a member of this group.")
 
 _A = Area.GRAPH
 _register("DOC510", _A, _E, "connecting to the ROS graph", "The doctor could not connect to the graph; the bridge probably cannot either.", "See the message.")
@@ -118,7 +118,7 @@ _register("DOC520", _A, _W, "number of servers", "A service or action has severa
 _register("DOC521", _A, _E, "services over another DDS", "A peer uses a DDS implementation other than Cyclone, with a different protocol for services (ROS021): calls between it and the bridge do not work.", "Set ros.backend: rclpy.")
 
 _A = Area.LIVE
-_register("DOC601", _A, _N, "bridge of the configuration", "No bridge is running, or it carries only some of the topics. If this is an error, the bridge has no heartbeat. Without a configuration, every bridge on the machine is examined.", "Start the bridge.")
+_register("DOC601", _A, _N, "bridge of the configuration", "No bridge is running, or the running bridge carries only some of the topics. If the level is error, the bridge has no heartbeat. Without a configuration, every bridge on the machine is examined.", "Start the bridge.")
 _register("DOC602", _A, _E, "layouts of the running bridge", "The layouts, directions or sizes of the objects differ from the configuration: the bridge is running with an older configuration.", "Restart the bridge with this configuration, and generate the PLC code again.")
 _register("DOC603", _A, _W, "the PLC's task", "The bridge carries the topic, but no running PLC task uses it; for a service or action, no block calls or serves it.", "Start the PLC program; if it is running, its block shows an error number (112: its code was generated for another layout).")
 _register("DOC604", _A, _E, "layouts that the running PLC expects", "The PLC code was generated for another layout, so its block does not attach (SHM112).", "Generate the PLC code again, import it and download it.")
