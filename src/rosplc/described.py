@@ -60,7 +60,7 @@ def described_layout(description: Description, *, where: str = "") -> Layout:
     except (TypeError, ValueError, AttributeError, RecursionError) as error:
         raise ChannelError("SHM113", f"its limits cannot be used: {error}", where=where) from error
     if layout.layout_id != description.layout_id:
-        what = f"it describes layout {layout.layout_id}, but states {description.layout_id}"
+        what = f"its definition has layout {layout.layout_id}, but it states {description.layout_id}"
         raise ChannelError("SHM113", what, where=where)
     return layout
 

@@ -159,7 +159,7 @@ def test_configuration_edited_while_running(config: Callable[..., Path], run: Ca
     bridge = run(path)
     bridge.says("carries 2 topics")
     path.write_text("topics: [")
-    assert "`rosplc reload` or a restart of the bridge applies it" in bridge.says(
+    assert "run `rosplc reload` or restart the bridge to apply it" in bridge.says(
         "configuration changed on disk"
     )
     assert bridge.stop() == 0
@@ -326,7 +326,7 @@ def test_peers_that_do_not_fit(
         assert topic in bridge.says(f"{words}")
         wait_for(lambda t=topic, w=words: t in seen and seen[t][0] == 2 and w in seen[t][1])
     bridge.says(
-        "/text: message refused: std_msgs/msg/String: data: string has 12 bytes, the limit is 4 [COD004]"
+        "/text: message refused: std_msgs/msg/String: data: string has 12 bytes; the limit is 4 [COD004]"
     )
     with rosplc.attach("/text", prefix=shm_prefix, latched=True) as channel:
         message = channel.wait()

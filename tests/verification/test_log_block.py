@@ -91,7 +91,7 @@ def test_more_lines_than_the_limit_are_suppressed_and_counted(joint: Joint) -> N
     assert log(joint, "fbOther", "later") == (True, False)
     assert log(joint, "fbOther", "too early") == (False, True)
     joint.until(lambda: len(lines) == 11, "the line after them")
-    assert lines[-1].msg == "later (4 lines before it suppressed by the PLC)"
+    assert lines[-1].msg == "later (the PLC suppressed 4 lines before it)"
 
 
 def test_lines_wait_for_the_bridge(joint: Joint) -> None:

@@ -291,7 +291,7 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "L|L:wait", &tick, &timeout))
         return NULL;
     if (tick < 0 || tick > 60LL * 1000000000)
-        return PyErr_Format(PyExc_ValueError, "a tick has 0 to 60 000 000 000 ns");
+        return PyErr_Format(PyExc_ValueError, "a tick must be between 0 and 60 000 000 000 ns");
     now = now_ns();
     deadline = timeout < 0 || timeout > INT64_MAX - now ? INT64_MAX : now + timeout;
     for (;;) {

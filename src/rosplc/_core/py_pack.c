@@ -11,14 +11,14 @@ static int refuse(misfit *m, PyObject *what)
     return -1;
 }
 
-/* "<value> is no <kind>", or of a type: the value's repr is cut. */
+/* "<value> is not a valid <kind>", or of a type: the value's repr is cut. */
 static int is_no(misfit *m, PyObject *value, const char *kind, PyObject *type)
 {
     PyObject *text, *name = NULL, *what = NULL;
     PyErr_Clear();
     if ((text = PyObject_Repr(value)) && (name = PyObject_GetAttrString((PyObject *)Py_TYPE(value), "__name__")))
-        what = PyUnicode_FromFormat(PyUnicode_GetLength(text) <= 60 ? "%U (%S) is no %V" : "%.57U... (%S) is no %V",
-                                    text, name, type, kind);
+        what = PyUnicode_FromFormat(PyUnicode_GetLength(text) <= 60 ? "%U (%S) is not a valid %V" :
+                                    "%.57U... (%S) is not a valid %V", text, name, type, kind);
     Py_XDECREF(name);
     Py_XDECREF(text);
     return refuse(m, what);
@@ -162,7 +162,7 @@ static int put_string(const FieldObject *field, uint8_t *to, PyObject *value, mi
         if (!(text = PyUnicode_AsUTF8AndSize(value, &size))) { /* surrogates stand for other bytes */
             PyErr_Clear();
             if (!(encoded = PyUnicode_AsEncodedString(value, "utf-8", "surrogateescape")))
-                return PyErr_ExceptionMatches(PyExc_UnicodeEncodeError) ? is_no(m, value, "Unicode text", NULL) : -1;
+                return PyErr_ExceptionMatches(PyExc_UnicodeEncodeError) ? is_no(m, value, "Unicode string", NULL) : -1;
         }
     } else if (PyByteArray_Check(value)) {
         text = PyByteArray_AsString(value);
@@ -177,7 +177,7 @@ static int put_string(const FieldObject *field, uint8_t *to, PyObject *value, mi
     if (!text)
         result = -1;
     else if (memchr(text, 0, (size_t)size))
-        result = refuse(m, PyUnicode_FromString("a string cannot hold a NUL"));
+        result = refuse(m, PyUnicode_FromString("a string cannot contain a NUL"));
     else if (size > capacity)
         result = refuse(m, PyUnicode_FromFormat("the string has %zd bytes, but its limit is %zd", size, capacity));
     else {
@@ -294,7 +294,7 @@ static int put_many(const FieldObject *field, uint8_t *base, PyObject *value, mi
         /* Converting an element may have shortened the list. */
         PyObject *item = Py_XNewRef(listed ? PyList_GetItem(items, i) : PyTuple_GetItem(items, i));
         failed = item ? put_one(field, to + (size_t)i * field->stride, item, m)
-                      : refuse(m, PyUnicode_FromString("the elements changed meanwhile"));
+                      : refuse(m, PyUnicode_FromString("the elements changed while they were packed"));
         Py_XDECREF(item);
         if (failed)
             below(m, m->what ? PyUnicode_FromFormat("[%zd]", i) : NULL);

@@ -240,7 +240,7 @@ static FieldObject *field_new(PyObject *item, uint32_t size)
             self->end = self->count_at + 4;
         return self;
     }
-    PyErr_Format(PyExc_ValueError, "%R is no field of %lu bytes", item, (unsigned long)size);
+    PyErr_Format(PyExc_ValueError, "%R is not a field of a record of %lu bytes", item, (unsigned long)size);
     Py_DECREF((PyObject *)self);
     return NULL;
 }

@@ -70,7 +70,7 @@ static PyObject *channel_sink_open(ChannelSinkObject *self, PyObject *args)
         || !(plan = rp_plan_from_object(plan_object)) || ch_region_usable(writer->owner))
         return NULL;
     if (writer->released || plan->record_size != writer->owner->region.geometry.record_size)
-        return PyErr_Format(PyExc_ValueError, "the writer of %U was released, or has other records",
+        return PyErr_Format(PyExc_ValueError, "the writer of %U was released, or its records have another size",
                             writer->owner->path);
     sink_close(&self->head);
     let_writer_go(self);

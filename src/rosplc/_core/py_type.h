@@ -12,7 +12,7 @@ static inline int py_only_interpreter(void)
         first = mine;
     if (first == mine)
         return 0;
-    PyErr_SetString(PyExc_ImportError, "rosplc works in only one interpreter per process, and another one has loaded it");
+    PyErr_SetString(PyExc_ImportError, "rosplc supports one interpreter per process, and another interpreter has already loaded it");
     return -1;
 }
 

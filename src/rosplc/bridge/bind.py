@@ -147,7 +147,7 @@ class Binding:
         vanished and cannot be made again.
         """
         if not self._to_plc:
-            raise ChannelError("SHM110", "this binding reads what the PLC sends", where=self.topic)
+            raise ChannelError("SHM110", "this binding can only read messages from the PLC", where=self.topic)
         stamp = self._clock.time_ns() if stamp_ns is None else stamp_ns
         sequence: int = self._use(lambda: self._put(message, stamp))
         if self._print:
@@ -197,7 +197,7 @@ class Binding:
 
     def _take(self) -> bytes | None:
         if self._to_plc:
-            raise ChannelError("SHM110", "this binding writes to the PLC", where=self.topic)
+            raise ChannelError("SHM110", "this binding can only write messages to the PLC", where=self.topic)
         record: bytes | None = self._use(self._next)
         if record is not None and self._print:
             _log.info("%s was read: %s", self.topic, self.layout.to_dict(record))

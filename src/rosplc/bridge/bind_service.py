@@ -215,7 +215,7 @@ _CODES = {GoalStatus.ABORTED: ("SHM143", "aborted"), GoalStatus.CANCELED: ("SHM1
 
 
 def _failure(event: GoalEvent, action: str) -> ChannelError:
-    code, how = _CODES.get(event.status, ("SHM141", "lost: its fate is unknown"))
+    code, how = _CODES.get(event.status, ("SHM141", "lost: its outcome is unknown"))
     if event.kind == "rejected" or (event.reply is not None and event.reply.outcome == "not executed"):
-        code, how = "SHM140", "not begun"
+        code, how = "SHM140", "not started"
     return ChannelError(code, f"the goal was {how}", where=action)

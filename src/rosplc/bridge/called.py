@@ -306,7 +306,7 @@ class CalledGoals(Asked):
         elif self._endpoint.send(uuid, payload):
             self._goals[uuid] = _Goal(uuid, info.correlation)
         else:
-            self._answer("fate unknown", Reason.NONE, now, "a goal with this UUID was sent before")
+            self._answer("fate unknown", Reason.NONE, now, "a goal with this UUID has already been sent")
 
     def _more(self, info: SlotInfo, now_ns: int) -> None:
         goal = self._goal
@@ -389,7 +389,7 @@ class CalledGoals(Asked):
             case "lost":
                 if not goal.pause_ns:
                     why = reply.text or WORDS[reply.reason]
-                    self.note(now_ns, f"the server returned no result, requesting it again: {why}")
+                    self.note(now_ns, f"the server returned no result; requesting it again: {why}")
                 goal.lost = True
                 goal.wait(now_ns)
 

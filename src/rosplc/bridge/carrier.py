@@ -94,7 +94,7 @@ class CallPorts(Grouped[Any]):
         return min((use.due_ns for use in self._ports.values()), default=None), again
 
 
-_HANGS = "publishing to ROS does not return; the bridge no longer waits for it"
+_HANGS = "publishing to ROS is blocked; the bridge no longer waits for it"
 _PATIENCE_S = 5.0
 
 Carried: TypeAlias = "Stream | Use"  # what a carrier's thread serves
@@ -199,7 +199,7 @@ class Carrier:
             try:
                 self._turn()
             except Exception:
-                log.exception("carrying messages failed; it continues")
+                log.exception("carrying messages failed; the bridge continues")
                 self._clock.sleep(100_000_000)
 
     def _turn(self) -> None:
@@ -350,7 +350,7 @@ class Rounds:
         self._wake.set()
         self._thread.join(_PATIENCE_S)
         if self._thread.is_alive():
-            log.error("%s does not stop; the bridge no longer waits for it", self._thread.name)
+            log.error("thread %s does not stop; the bridge no longer waits for it", self._thread.name)
 
     def _run(self) -> None:
         for duty in self._duties:

@@ -140,7 +140,7 @@ class ClassicPort(Port):
         """Attach to what the names lead to now."""
         lock = self._object.lock
         self._abandoned = lock is not None and lock.value == 0
-        log.info("%s: memory or semaphore %s was replaced", self.side.plan.topic, self._classic.name)
+        log.info("%s: memory %s or its semaphore was replaced", self.side.plan.topic, self._classic.name)
         if self._attach(now_ns):
             self._attached()
 
@@ -204,11 +204,11 @@ class ClassicPort(Port):
         self._look_ns = _next_look(now_ns)
         self.side.problem = ""
         if memory.odd_size:
-            words = f"the memory has {memory.size} bytes, the record {memory.record_size}"
+            words = f"the memory has {memory.size} bytes, but the record has {memory.record_size}"
             self.side.note(now_ns, words, "SHM130")
         made = [kind for kind, thing in (("memory", memory), ("semaphore", lock)) if thing and thing.created]
         level = logging.INFO if self._object.attachments == 1 else logging.DEBUG
-        how = f"{' and '.join(made)} made here" if made else "made by the other side"
+        how = f"{' and '.join(made)} created here" if made else "created by the other side"
         log.log(level, "%s: attached to %s (%s)", self.side.plan.topic, self._classic.name, how)
         return True
 
@@ -223,7 +223,7 @@ class ClassicPort(Port):
             self.side.note(now_ns, words, "SHM131")
         if self._object.mended > self._mended:
             self._mended = self._object.mended
-            words = f"semaphore {self._classic.semaphore} admitted more than one process; corrected"
+            words = f"semaphore {self._classic.semaphore} admitted more than one process; value corrected"
             self.side.note(now_ns, words, "SHM132")
 
 
@@ -262,7 +262,7 @@ class ClassicToPlc(ClassicPort):
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost."""
-        return f"{count} messages were lost: the lock was not free, or there was no memory"
+        return f"{count} messages were lost: the lock was not free, or the shared memory did not exist"
 
     def _turn(self, now_ns: int) -> int:
         self._tend(now_ns)
@@ -349,7 +349,7 @@ class ClassicToRos(ClassicPort):
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost."""
-        return f"{count} messages were lost: not taken by ROS, or perhaps half written by a process that died"
+        return f"{count} messages were lost: not accepted by ROS, or half written by a process that died"
 
     def _turn(self, now_ns: int) -> int:
         if self._tend(now_ns):
@@ -450,7 +450,7 @@ class ClassicPorts(Waiting[ClassicPort]):
             try:
                 wanted = port.turn(self._context.clock.monotonic_ns())
             except Exception:  # one stream's trouble is no other's
-                log.exception("%s: carrying failed; it continues", port.side.plan.topic)
+                log.exception("%s: carrying messages failed; the bridge continues", port.side.plan.topic)
                 wanted = now_ns + LOOK_NS
             due = wanted if due is None else min(due, wanted)
         return due, []

@@ -37,7 +37,7 @@ _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_Feedback
 _CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
 _JUST_NOW_NS = 100_000_000
-_APPLY = "`rosplc reload` or a restart of the bridge applies it"
+_APPLY = "run `rosplc reload` or restart the bridge to apply it"
 _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
 """Something of a stranger's is at an object's name: that topic is not carried, and looked at again later."""
 
@@ -235,7 +235,7 @@ class Bridge:
                 self._exchange(project, changes)
             except Exception as error:
                 self._refused = _first_line(error)
-                log.error("the new configuration was refused, the previous one stays in use")
+                log.error("the new configuration was refused; the previous one stays in use")
                 for problem in str(error).splitlines():  # a record of the log is one line
                     log.error("%s", problem)
                 raise
@@ -286,11 +286,11 @@ class Bridge:
         if self._ended:
             notes.append(self._ended)
         if self._refused:
-            notes.append(f"the new configuration was refused, the previous one is in use: {self._refused}")
+            notes.append(f"the new configuration was refused; the previous one stays in use: {self._refused}")
         carriers, uses = self._carriers, [use.status(now) for use in self._streams if isinstance(use, Use)]
         busy = (carriers.busy_since_ns if carriers is not None else 0) or now
         if now - busy > _STUCK_NS:
-            notes.append(f"publishing to ROS has not returned for {(now - busy) / 1e9:.0f} s")
+            notes.append(f"publishing to ROS has been blocked for {(now - busy) / 1e9:.0f} s")
         return BridgeStatus(
             bridge=self.settings.bridge,
             backend=self.backend.name if self.backend is not None else "",
@@ -358,7 +358,7 @@ class Bridge:
         ended = ended_for_good(self.backend)
         if ended and not self._ended:
             self._ended = ended
-            log.error("%s; nothing is carried any more [ROS015]", ended)
+            log.error("%s; the bridge no longer carries messages [ROS015]", ended)
             if self.on_ended is not None:
                 self.on_ended(ended)
 

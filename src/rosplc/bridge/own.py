@@ -24,7 +24,7 @@ from rosplc.ros import Backend
 from rosplc.ros.parameters import Parameter, ParameterServer, shown_parameters
 
 _CHECK_NS = 1_000_000_000
-_NOT_SERVED = "the node serves its own parameters: those of the configuration are not visible in ROS"
+_NOT_SERVED = "the node serves its own parameters, so the configured parameters are not visible in ROS"
 
 
 class OwnTopics:

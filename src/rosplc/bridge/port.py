@@ -150,7 +150,7 @@ class Port(Protocol):
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
         """Convert a message and give it to the PLC, now or soon; every outcome is told to the stream."""
-        raise ChannelError("SHM110", "only the PLC writes towards ROS", where=self.side.plan.topic)
+        raise ChannelError("SHM110", "only the PLC can write to a to_ros channel", where=self.side.plan.topic)
 
     def open_sink(self, limit_ns: int) -> None:
         """Let the sink take what comes next; a silence of more than ``limit_ns`` (0: any) closes it."""

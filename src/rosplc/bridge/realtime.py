@@ -31,11 +31,11 @@ def contention(config: Config) -> list[str]:
     wanted = config.settings.realtime
     if wanted.policy != "fifo" or wanted.priority < LOWEST_TASK_PRIORITY:
         return []
-    reach = "above all" if wanted.priority > HIGHEST_TASK_PRIORITY else "among those"
+    reach = "above" if wanted.priority > HIGHEST_TASK_PRIORITY else "within"
     return [
-        f"realtime.priority {wanted.priority} is {reach} of CODESYS' tasks (SCHED_FIFO "
+        f"realtime.priority {wanted.priority} is {reach} the range of CODESYS tasks (SCHED_FIFO "
         f"{HIGHEST_TASK_PRIORITY} for IEC priority 0 to {LOWEST_TASK_PRIORITY} for 15): the bridge may "
-        f"delay the PLC's cycle; use less than {LOWEST_TASK_PRIORITY}"
+        f"delay the PLC's cycle; use a value below {LOWEST_TASK_PRIORITY}"
     ]
 
 
@@ -120,9 +120,9 @@ class Realtime:
             raise self._refused(
                 "priority",
                 f"SCHED_FIFO priority {wanted.priority} is not permitted (the limit is {limit})",
-                f"LimitRTPRIO={wanted.priority} in the unit (rosplc service install writes it), "
-                f"`@plc - rtprio {wanted.priority}` in /etc/security/limits.d, or the capability "
-                "CAP_SYS_NICE; in a container --ulimit rtprio=… or --cap-add SYS_NICE.",
+                f"Set LimitRTPRIO={wanted.priority} in the systemd unit (rosplc service install does so), "
+                f"add `@plc - rtprio {wanted.priority}` to /etc/security/limits.d, or grant the capability "
+                "CAP_SYS_NICE; in a container, use --ulimit rtprio=… or --cap-add SYS_NICE.",
             ) from None
 
     def _refused(self, key: str, what: str, remedy: str) -> SetupError:
@@ -155,9 +155,9 @@ class Realtime:
             raise self._refused(
                 "lock_memory",
                 f"memory cannot be locked: {os.strerror(number)} (the limit is {_in_words(limit)})",
-                "LimitMEMLOCK=infinity in the systemd unit (rosplc service install writes it), "
-                "`@plc - memlock unlimited` in /etc/security/limits.d, or the capability CAP_IPC_LOCK; in a "
-                "container --ulimit memlock=-1.",
+                "Set LimitMEMLOCK=infinity in the systemd unit (rosplc service install does so), add "
+                "`@plc - memlock unlimited` to /etc/security/limits.d, or grant the capability CAP_IPC_LOCK; "
+                "in a container, use --ulimit memlock=-1.",
             )
         self._locked = True
 

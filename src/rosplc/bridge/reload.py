@@ -61,10 +61,10 @@ def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
 def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
     source = new.config.source
     for path in _differing((), old.config.fixed, new.config.fixed):
-        what = f"it was {_written(old, path)} and would be {_written(new, path)}"
+        what = f"it cannot change from {_written(old, path)} to {_written(new, path)}"
         problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
     if old.parameters != new.parameters and not problems:
-        what = "their layout in the PLC would change"
+        what = "their layout in the PLC cannot change at run time"
         problems.wrong(source, ("parameters",), what, "", "CFG012")
 
 
@@ -170,7 +170,7 @@ class Exchange:
 
     def _replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> None:
         if not self.carriers.replace(leaving, coming):
-            raise BackendError("ROS018", "the ROS side does not return from publishing")
+            raise BackendError("ROS018", "publishing to ROS is blocked")
 
     def _give_up(self, streams: Iterable[Carried]) -> None:
         """End the calls in objects that no bridge will look at again."""

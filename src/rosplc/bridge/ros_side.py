@@ -24,7 +24,7 @@ def choose_backend(config: Config, environment: Mapping[str, str] | None = None)
     """Return the backend that the configuration leads to here; ROS001 if ``auto`` finds none."""
     ros = config.settings.ros
     if ros.backend != "auto":
-        return Choice(ros.backend, "ros.backend names it")
+        return Choice(ros.backend, "ros.backend selects it")
     services = bool(config.settings.services or config.settings.actions)
     return choose(ros.distro, environment, zenoh_settings=ros.zenoh is not None, services=services)
 
@@ -86,9 +86,9 @@ class RosSide:
         environment = self.environment()
         choice = choose_backend(self.config, environment)
         if self.config.settings.ros.backend == "auto":
-            log.info("ros.backend: auto is %s", choice)
+            log.info("ros.backend: auto selected %s", choice)
         if choice.name != "rclpy" and (unused := self._without_effect()):
-            log.warning("the %s backend has no use for the ROS arguments %s", choice.name, " ".join(unused))
+            log.warning("the %s backend ignores the ROS arguments %s", choice.name, " ".join(unused))
         name, namespace, remap = self.names()
         backend = open_backend(
             choice.name,

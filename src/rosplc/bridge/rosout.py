@@ -69,7 +69,7 @@ class Rosout(logging.Handler):
         try:
             if count := self._left_out:
                 self._left_out = 0
-                self.put(logging.WARNING, f"{plural(count, 'line')} of the log were dropped: no room")
+                self.put(logging.WARNING, f"dropped {plural(count, 'log line')}: the buffer was full")
             for _ in range(len(self._lines)):
                 values, stamp_ns = self._lines.popleft()
                 self.publisher.write(fields.pack(self._store, self._type, values), stamp_ns)
@@ -114,6 +114,6 @@ class PlcLog(OwnEnd):
         self._lines += 1
         if self._lines <= _PLC_LINES:
             line = self._layout.to_dict(self._codec.decode(payload))
-            before = f" ({plural(line['line'], 'line')} before it suppressed by the PLC)" * bool(line["line"])
+            before = f" (the PLC suppressed {plural(line['line'], 'line')} before it)" * bool(line["line"])
             self._rosout.put(line["level"], harmless(line["msg"]) + before, ".plc", stamp_ns)
         return True

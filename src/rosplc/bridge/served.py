@@ -336,7 +336,7 @@ class Served(Calling):
         self._repeat(now_ns, last=True)
 
 
-_GONE = "its objects were given up"
+_GONE = "its objects are no longer in use"
 _TICK_NS = 1_000_000_000
 _ENDS: dict[int, Outcome] = {
     spec.ANSWER_NOT_EXECUTED: "not executed",

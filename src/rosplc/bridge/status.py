@@ -79,7 +79,7 @@ class TopicStatus(PortStatus):
     recent: bool = False  # whether ``reason`` is from the last ten seconds, or still holds
 
     def _staleness(self, to_plc: bool) -> str:
-        source = "ROS publisher" if to_plc else "the PLC"
+        source = "ROS" if to_plc else "the PLC"
         if self.age_ns is not None and not self.stale:
             return f"messages from {source} have resumed after silence"
         if self.age_ns is not None:
@@ -93,8 +93,8 @@ class TopicStatus(PortStatus):
             return f"no message yet from {source}: no publisher"
         # Not every middleware tells this side that a peer refuses it for its definition of the type.
         return (
-            f"no message yet from {source}, although there is a publisher: it is silent, or it has another "
-            "definition of the type and the middleware keeps the two apart (ROS003)"
+            f"no message yet from {source}, although there is a publisher: the publisher is silent, or its "
+            "definition of the type differs and the middleware does not connect it (ROS003)"
         )
 
     @cached_property

@@ -91,14 +91,14 @@ class Buffer:
         x, y, z, qx, qy, qz, qw = pose
         square = qx * qx + qy * qy + qz * qz + qw * qw
         if not child or not parent or child == parent:
-            return "it needs two frames"
+            return "it needs two different frames"
         if not (abs(square - 1) <= 0.01 and math.isfinite(x + y + z)):
             return f"{pose} is not a translation and unit quaternion"
         scale = 1 / math.sqrt(square)
         link = stamp_ns, parent, (x, y, z, qx * scale, qy * scale, qz * scale, qw * scale)
         with self._lock:
             if len(self._frames) >= _MOST and not {child, parent} <= self._frames:
-                return f"there are {_MOST} frames already"
+                return f"the limit of {_MOST} frames has been reached"
             self._frames |= {child, parent}
             links = self._links.setdefault(child, [])
             if static is not (child in self._static):
@@ -111,7 +111,7 @@ class Buffer:
                 while links[0][0] < stamp_ns - KEEP_NS or len(links) > _MOST_LINKS:
                     del links[0]
             elif stamp_ns < links[-1][0] - KEEP_NS:
-                return f"it is {(links[-1][0] - stamp_ns) / 1e9:.0f} s older than the newest"
+                return f"it is {(links[-1][0] - stamp_ns) / 1e9:.0f} s older than the newest transform"
             else:
                 at = bisect_right(links, stamp_ns, key=_STAMP)
                 if not at or links[at - 1][0] != stamp_ns:

@@ -378,10 +378,10 @@ _WHAT = {
     1: "message ends too early: it has {limit} bytes, but needs at least {size}",
     2: "message has {size} bytes, but its content fills at most {limit}",
     3: "encapsulation 0x{size:04x} is neither 0x0000 nor 0x0001",
-    4: "string has {size} bytes, the limit is {limit}",
-    5: "sequence has {size} elements, the limit is {limit}",
+    4: "string has {size} bytes; the limit is {limit}",
+    5: "sequence has {size} elements; the limit is {limit}",
     6: "bool has the value {size} instead of 0 or 1",
-    7: "string of {size} bytes holds a NUL at byte {limit}",
+    7: "string of {size} bytes contains a NUL at byte {limit}",
     8: "sequence has {size} elements, but the type itself allows at most {limit}",
     9: "buffer has {size} bytes instead of {limit}",
 }

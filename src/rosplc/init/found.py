@@ -111,7 +111,7 @@ class _Walk(Reader):
 
     def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length]) -> None:
         if store.ros_version == 2 and data[:2] not in (b"\0\0", b"\0\1"):
-            raise ValueError("no plain CDR")
+            raise ValueError("not plain CDR")
         super().__init__(store, data)
         self._lengths = lengths
         self._visits = 0

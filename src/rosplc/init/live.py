@@ -49,12 +49,12 @@ def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]
     """Return the ROS distribution to begin with, and why."""
     named = environment.get("ROS_DISTRO", "")
     if backend == "rospy":
-        return ROS1, "the rospy backend speaks ROS 1"
+        return ROS1, "the rospy backend is for ROS 1"
     if named in DISTROS and not (named == ROS1 and backend in ("dds", "rclpy", "zenoh")):
         return named, "set by ROS_DISTRO"
     if backend == "auto" and environment.get("ROS_MASTER_URI"):
         return ROS1, "ROS_MASTER_URI is set, as for ROS 1"
-    return "jazzy", "the default; the environment sets no other"
+    return "jazzy", "the default; the environment does not specify another"
 
 
 class LiveRobot:
@@ -114,7 +114,7 @@ class LiveRobot:
         notes = self.found.notes
         if present := [name for name in _LEADS_THERE.get(choice.name, ()) if os.environ.get(name)]:
             words = f"{', '.join(present)} {'is' if len(present) == 1 else 'are'} set here"
-            more = "a bridge that is started elsewhere, such as a service, needs the same to connect."
+            more = "a bridge started elsewhere, such as a service, needs the same environment to connect."
             notes = (*notes, f"{words}: {more}")
         self.found = replace(self.found, why=why, notes=notes)
 

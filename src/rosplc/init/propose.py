@@ -77,11 +77,11 @@ def direction(topic: Topic) -> tuple[Literal["plc", "ros"], str]:
     goes the same way again.
     """
     if topic.carried:
-        did = "the PLC sent it" if topic.carried == "ros" else "it went to the PLC"
+        did = "the PLC sent it" if topic.carried == "ros" else "it was sent to the PLC"
         return topic.carried, f"{did} when it was recorded"
     readers, writers = _listed(topic.subscribers), _listed(topic.publishers)
     if topic.publishers and topic.subscribers:
-        return "plc", f"{writers} publishes it for {readers}; the PLC subscribes, too"
+        return "plc", f"{writers} publishes it for {readers}; the PLC also subscribes"
     if topic.publishers:
         return "plc", f"{writers} publishes it" if topic.publishers != ("unnamed",) else "it was recorded"
     if topic.subscribers:
@@ -103,9 +103,9 @@ def propose(
     if layout.size > _LARGEST:
         raise LayoutError(
             "LAY003",
-            f"a record of {layout.type_name} would have {layout.size} bytes according to the data seen",
+            f"judging by the data, a record would need {layout.size} bytes; the limit is {_LARGEST}",
             where=topic.name,
-            remedy="Carry a smaller topic of the robot, or write the entry and its limits by hand.",
+            remedy="Choose a topic with smaller messages, or write the entry and its limits by hand.",
         )
     if to == "plc":
         _quality(entry, topic)
@@ -321,13 +321,13 @@ def _matching(topics: Mapping[str, Topic], wish: Wish) -> list[str]:
         if wish.pattern in topics or wish.type_name:
             return [wish.pattern]
         near = nearest(wish.pattern, topics)
-        hint = f"; did you mean {near}?" if near else f"; give {wish.pattern}=PACKAGE/TYPE to carry it"
+        hint = f"; did you mean {near}?" if near else f"; specify {wish.pattern}=PACKAGE/TYPE to carry it"
         raise ValueError(f"no topic {wish.pattern} was found{hint}")
     found = [
         name for name in topics if fnmatch.fnmatchcase(name, wish.pattern) and not is_of_ros_itself(name)
     ]
     if not found:
-        raise ValueError(f"no topic found matches {wish.pattern}")
+        raise ValueError(f"no topic matches {wish.pattern}")
     return found
 
 
@@ -335,8 +335,8 @@ def _type(topic: Topic, wish: Wish) -> str:
     if wish.type_name:
         return wish.type_name
     if not topic.types:
-        raise ValueError(f"its type is unknown; write {topic.name}=PACKAGE/TYPE")
+        raise ValueError(f"its type is unknown; specify {topic.name}=PACKAGE/TYPE")
     if len(topic.types) > 1:
         types = ", ".join(topic.types)
-        raise ValueError(f"it has several types ({types}); write {topic.name}=PACKAGE/TYPE with one")
+        raise ValueError(f"it has several types ({types}); specify one: {topic.name}=PACKAGE/TYPE")
     return type_called(topic.types[0])

@@ -63,9 +63,9 @@ class RecordedRobot:
             if (wanted == ROS1) != (self._bag.ros_version == 1):
                 raise BackendError(
                     "ROS001",
-                    f"the recording is from ROS {self._bag.ros_version}; {wanted} is another ROS version",
+                    f"the recording is from ROS {self._bag.ros_version}; {wanted} is not a distribution of it",
                     where=str(self._bag.path),
-                    remedy="Leave --distro out, or name a distribution of that ROS version.",
+                    remedy="Omit --distro, or specify a distribution of that ROS version.",
                 )
             return wanted, "as requested"
         if self._bag.ros_version == 1:
@@ -76,8 +76,8 @@ class RecordedRobot:
             return self._carried_distro, "the recorded bridge used it"
         candidates = [_NEWEST, *(name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST))]
         best = min(candidates, key=self._misfits)
-        more = "" if best == _NEWEST else "; its definitions fit this one best"
-        return best, f"the recording states none{more}"
+        more = "" if best == _NEWEST else "; its definitions match this one best"
+        return best, f"the recording specifies none{more}"
 
     def _misfits(self, distro: str) -> int:
         """Return how many of the recording's types a distribution defines differently."""
@@ -102,7 +102,7 @@ class RecordedRobot:
             # Also where the type is known: a recording of another definition must not be measured by ours.
             self.definitions.learn(type_name, carried[0], f"the recording {self._bag.path}")
         elif not self.definitions.find_installed(type_name):
-            raise self.definitions.unknown(type_name, ", and the recording has no definition of it")
+            raise self.definitions.unknown(type_name, ", and the recording contains no definition of it")
 
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]

@@ -53,7 +53,7 @@ def configuration(
         paths = ", ".join(json.dumps(folder, ensure_ascii=False) for folder in folders)
         lines += _comment("Folders with definitions that the distribution lacks.")
         lines += [f"types: {{paths: [{paths}]}}", ""]
-    lines += _comment("Limits of strings (bytes) and sequences (elements) for topics without their own.")
+    lines += _comment("Limits of strings (bytes) and sequences (elements) for topics that set none.")
     lines += ["limits: {string: 80, sequence: 16}", ""]
     lines += _comment("The PLC task that calls the blocks; set the interval of your task.")
     lines += ["tasks:", "  RosTask: {interval: 10ms, priority: 4}", ""]
@@ -71,7 +71,7 @@ def _calls(found: Found) -> Iterator[str]:
     """Yield the services and actions that were found, as comments: people decide which the PLC is to have."""
     more = "Uncomment those that the PLC should call (`server: ros`) or execute (`server: plc`)."
     yield from _comment(
-        f"Services and actions of the graph. {more}" if found.calls else "No service or action was found."
+        f"Services and actions in the graph. {more}" if found.calls else "No service or action was found."
     )
     for kind in ("service", "action"):
         rows = [
@@ -91,7 +91,7 @@ def refuse_to_overwrite(path: Path, *, force: bool) -> None:
     if path.is_dir():
         raise ConfigError("CFG014", "this is a folder", where=str(path))
     if not path.parent.is_dir():
-        raise ConfigError("CFG014", f"there is no folder {path.parent}", where=str(path))
+        raise ConfigError("CFG014", f"the folder {path.parent} does not exist", where=str(path))
 
 
 def write_file(path: Path, text: str, *, force: bool) -> None:

@@ -137,7 +137,7 @@ def _parse_string(text: str, kind: types.StringType) -> str:
     else:
         value = text
     if "\0" in value:
-        raise LiteralError("a string cannot hold a NUL")
+        raise LiteralError("a string cannot contain a NUL")
     if kind.bound is not None and len(value.encode("utf-8", "surrogateescape")) > kind.bound:
         raise LiteralError(f"the string is longer than {kind.bound} bytes")
     return value

@@ -384,7 +384,7 @@ class Attached(Mapped):
         if the object is mapped read-only; SHM111.
         """
         if self.identity.direction is not Direction.TO_ROS:
-            raise channel_error(110, "only the bridge writes towards the PLC", self.path)
+            raise channel_error(110, "only the bridge can write to a to_plc channel", self.path)
         self._writable()
         self.valid()
         return WriterClaim(self.region, beat_ms)

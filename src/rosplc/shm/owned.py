@@ -140,7 +140,7 @@ class OwnedChannel(Mapped):
         SHM110 if the direction is towards ROS.
         """
         if self.identity.direction is not Direction.TO_PLC:
-            raise channel_error(110, "only the PLC writes towards ROS", self.path)
+            raise channel_error(110, "only the PLC can write to a to_ros channel", self.path)
         writer = take_over_writer(self.region, beat_ms)
         self._users.append(writer)
         return writer
@@ -153,7 +153,7 @@ class OwnedChannel(Mapped):
         direction is towards the PLC.
         """
         if self.identity.direction is not Direction.TO_ROS:
-            raise channel_error(110, "the bridge does not read what it writes", self.path)
+            raise channel_error(110, "the bridge cannot read a to_plc channel, which it writes", self.path)
         reader = Reader(self.region, start_of(self.region, latched=latched, line=0))
         take_over_line(self.region, reader, 0, beat_ms, self.description.bridge)
         self._users.append(reader)

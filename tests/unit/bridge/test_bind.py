@@ -84,7 +84,7 @@ def test_every_message_in_order(shm_namespace: Namespace) -> None:
 def test_what_does_not_fit_is_refused_by_name(shm_namespace: Namespace) -> None:
     """Bytes and values beyond the limits raise with field, size and limit; nothing is published."""
     with bind("/text", STRING, prefix=shm_namespace.prefix, limits={"data": 4}) as binding:
-        with pytest.raises(CodecError, match="data: string has 5 bytes, the limit is 4"):
+        with pytest.raises(CodecError, match="data: string has 5 bytes; the limit is 4"):
             binding.write(wire(STRING, {"data": "12345"}))
         with pytest.raises(LayoutError, match="data"):
             binding.write({"data": "12345"})

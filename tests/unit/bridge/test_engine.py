@@ -138,7 +138,7 @@ def test_refused_messages_name_field_size_and_limit(cell: Cell, caplog: pytest.L
     status = bridge.status().topic("/text")
     assert (status.received, status.published, status.refused) == (51, 1, 50)
     assert status.code == "COD004"
-    assert "data: string has 11 bytes, the limit is 10" in status.reason
+    assert "data: string has 11 bytes; the limit is 10" in status.reason
     assert status.judgement[0] is Level.WARN
     assert plc.attached.snapshot().writer.refused == 50
     lines = [record for record in caplog.records if "refused" in record.message]

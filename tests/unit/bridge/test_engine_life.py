@@ -347,7 +347,7 @@ def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
         level, words = bridge.status().topic("/in").judgement
         return (
             level is Level.STALE
-            and "there is a publisher: it is silent, or it has another definition" in words
+            and "there is a publisher: the publisher is silent, or its definition" in words
         )
 
     wait_for(judged)
@@ -389,7 +389,7 @@ def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.Monkey
         bridge._streams[0].on_message(wire(INT, {"data": 2}), 0)  # type: ignore[attr-defined]
         assert wait_for(incoming.read) == {"data": 2}
     clock.advance(6)
-    assert "publishing to ROS has not returned" in bridge.status().judgement[1]
+    assert "publishing to ROS has been blocked" in bridge.status().judgement[1]
     go_on.set()
 
 

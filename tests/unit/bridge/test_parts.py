@@ -149,7 +149,7 @@ SILENT = {"stale": True, "silent": True}
         ({**OUT, "matched": 1}, Level.WARN, "no PLC task writes"),
         ({**OUT, "peer_gone_ns": 5 * SECOND, **SILENT}, Level.ERROR, "writes it stopped 5.0 s ago"),
         ({**OUT, **SILENT, "age_ns": 1, "substituting": True}, Level.STALE, "substitutes are published"),
-        ({**IN, "silent": True, "age_ns": 1}, Level.STALE, "messages from ROS publisher have resumed"),
+        ({**IN, "silent": True, "age_ns": 1}, Level.STALE, "messages from ROS have resumed"),
         ({**IN, "stale": True, "age_ns": 1, "peer_alive": True}, Level.OK, "no publisher"),
         ({**IN, "peer_alive": True}, Level.OK, "no publisher"),
         ({**OUT, "peer_alive": True}, Level.OK, "no subscriber"),

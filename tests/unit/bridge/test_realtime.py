@@ -259,7 +259,7 @@ def test_values_that_mean_nothing(wrong: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("priority", "words"), [(51, None), (52, "among those"), (67, "among those"), (68, "above all")]
+    ("priority", "words"), [(51, None), (52, "within the"), (67, "within the"), (68, "above the")]
 )
 def test_a_priority_among_the_plcs_is_warned_of(priority: int, words: str | None) -> None:
     """From 52 on the bridge competes with CODESYS' tasks, which `rosplc check` says."""

@@ -325,6 +325,6 @@ def test_a_backend_that_ends(cell: Cell, caplog: pytest.LogCaptureFixture) -> No
     assert "shut down" in bridge.status().judgement[1]
     bridge.ask(0)
     assert told == ["somebody told node /leaving to shut down"]
-    assert caplog.text.count("nothing is carried any more [ROS015]") == 1
+    assert caplog.text.count("the bridge no longer carries messages [ROS015]") == 1
     bridge.stop()
     backend.close()

@@ -112,8 +112,8 @@ def test_bridge_takes_its_names_from_the_command_line(
             assert bridge.backend.node == "/r1/n"
             assert "/base/cmd_vel" in {status.topic for status in bridge.backend.status()}
             assert shm_namespace.path("/cmd_vel").exists()
-            assert bridge.status().backend_why == "memory, because ros.backend names it"
-    assert "no use for the ROS arguments -e /a" in caplog.text
+            assert bridge.status().backend_why == "memory, because ros.backend selects it"
+    assert "ignores the ROS arguments -e /a" in caplog.text
 
 
 def test_nothing_given_changes_nothing() -> None:

@@ -193,7 +193,7 @@ def test_nobody_who_logs_waits_for_ros(rosout: tuple[Rosout, Failing]) -> None:
     publisher.write = lambda data, _: bool(sent.append(lines([data])[0].msg)) or True  # type: ignore[method-assign]
     handler.send()
     assert len(sent) == 1000
-    assert sent[-1] == "200 lines of the log were dropped: no room"
+    assert sent[-1] == "dropped 200 log lines: the buffer was full"
     assert sent[0] == "line 201"
 
 

@@ -215,8 +215,8 @@ def test_the_buffer_has_bounds() -> None:
     buffer = Buffer()
     for number in range(5000):
         buffer.put(f"f{number}", "base", S, moved(1), static=True)
-    assert "4096 frames already" in buffer.put("another", "base", S, moved(1))
-    assert "4096 frames already" in buffer.put("f1", "another", S, moved(1))
+    assert "the limit of 4096 frames has been reached" in buffer.put("another", "base", S, moved(1))
+    assert "the limit of 4096 frames has been reached" in buffer.put("f1", "another", S, moved(1))
     assert buffer.lookup("base", "another").error == TransformError.UNKNOWN_FRAME
     for number in range(10_002):
         assert buffer.put("f1", "base", S + number, moved(number)) == ""
@@ -334,7 +334,7 @@ def test_what_cannot_be_used_is_logged(cell: Cell, caplog: pytest.LogCaptureFixt
     )
     tool.next(error=0)
     assert "/tf: 'tool' in 'base' is ignored: (0.0" in caplog.text
-    assert "/tf: message ignored: " in caplog.text and "string has 256 bytes, the limit is 255" in caplog.text
+    assert "/tf: message ignored: " in caplog.text and "string has 256 bytes; the limit is 255" in caplog.text
 
 
 def test_reload_keeps_what_was_received(cell: Cell) -> None:

@@ -152,7 +152,7 @@ def test_an_error_names_type_field_size_and_limit() -> None:
     with pytest.raises(CodecError) as error:
         tested.decode(message)
     assert str(error.value) == (
-        "sensor_msgs/msg/JointState: position: sequence has 3 elements, the limit is 2 [COD005] "
+        "sensor_msgs/msg/JointState: position: sequence has 3 elements; the limit is 2 [COD005] "
         + CODES["COD005"].remedy
     )
 
@@ -163,7 +163,7 @@ def test_faults_may_come_as_numbers() -> None:
     index = next(number for number, op in enumerate(tested._ops) if op.code is OpCode.STRING)
     error = tested.explain((4, index, 9, 4))
     assert (error.code, error.where) == ("COD004", "std_msgs/msg/String: data")
-    assert error.what == "string has 9 bytes, the limit is 4"
+    assert error.what == "string has 9 bytes; the limit is 4"
     for number in range(1, 10):
         assert tested.explain((number, 0xFFFFFFFF, 1, 2)).code == f"COD{number:03d}"
 

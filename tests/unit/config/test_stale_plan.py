@@ -51,7 +51,7 @@ def test_values_become_records() -> None:
         ("to: ros, stale_after: 1s, on_stale: zero", "", "cannot be used with to: ros"),
         ("to: plc, on_stale: zeros", "", "did you mean 'zero'"),
         ("to: plc, on_stale: 5", "", "5 is not valid"),
-        ("to: plc, on_stale: {value: {linear: {x: fast}}}", ".value.linear.x", "'fast' (str) is no float64"),
+        ("to: plc, on_stale: {value: {linear: {x: fast}}}", ".value.linear.x", "is not a valid float64"),
         ("to: plc, on_stale: {value: {linear: {speed: 1}}}", ".value.linear", "no field 'speed'"),
         ("to: plc, on_stale: {value: {}, period: 1s}", ".period", "has no period"),
         ("to: plc, on_stale: {valeu: {}, value: {}}", ".valeu", "not a key here; did you mean 'value'"),

@@ -49,7 +49,7 @@ INNER = shape(("x", None, "uint64", 0, 8, -1, -1), size=8)
 )
 def test_a_field_that_leaves_its_struct_is_refused(field: tuple[object, ...]) -> None:
     """Offsets, sizes, numbers and counts beyond the struct, and unknown kinds, never become a shape."""
-    with pytest.raises(ValueError, match="is no field of 16 bytes"):
+    with pytest.raises(ValueError, match="is not a field of a record of 16 bytes"):
         shape(field)
 
 

@@ -62,7 +62,7 @@ def test_a_later_wish_refines_an_earlier_one() -> None:
     [
         ("/cmd_vell", "did you mean /cmd_vel"),
         ("/zzz", "give /zzz=PACKAGE/TYPE to carry it"),
-        ("/nothing/*", "no topic found matches"),
+        ("/nothing/*", "no topic matches"),
         ("/odd", "several types"),
         ("/bad-name", "may contain only letters"),
     ],
@@ -83,4 +83,4 @@ def test_a_wish_that_is_none_is_an_error(text: str) -> None:
 def test_direction_comes_from_who_is_there() -> None:
     """Published goes to the PLC, also if somebody subscribes; what is only subscribed to comes from it."""
     assert direction(TOPICS["/cmd_vel"]) == ("ros", "/base subscribes to it; it has no publisher")
-    assert direction(TOPICS["/mode"]) == ("plc", "/base publishes it for /panel; the PLC subscribes, too")
+    assert direction(TOPICS["/mode"]) == ("plc", "/base publishes it for /panel; the PLC also subscribes")
