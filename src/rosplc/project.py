@@ -348,10 +348,10 @@ def when_silent(project: Project, plan: TopicPlan) -> str:
         report = f"; {format_duration(diagnostics.debounce_ns)} later /diagnostics shows STALE"
     if safe.action == "substitute":
         return (
-            f"after {after} ROS gets {_shown(safe.value)} every {format_duration(safe.period_ns)}, "
+            f"after {after} ROS receives {_shown(safe.value)} every {format_duration(safe.period_ns)}, "
             f"and {flag_topic(plan.topic)} shows this{report}"
         )
-    return f"ROS gets nothing{report}"
+    return f"ROS receives nothing{report}"
 
 
 def _shown(value: Mapping[str, Any]) -> str:
@@ -392,18 +392,18 @@ def warnings(project: Project) -> list[str]:
             )
         if plan.classic is not None and plan.on_stale.action in ("zero", "value"):
             found.append(
-                f"{plan.topic}: on_stale with classic: the same message sent again and again counts as "
-                "silent, because a bare record does not show it; have the source change a field."
+                f"{plan.topic}: on_stale with classic: a message that is repeated unchanged counts as "
+                "silence, because a bare record shows only changes; have the source change a field."
             )
         if plan.classic is not None and not plan.classic.semaphore:
             found.append(
                 f"{plan.topic}: no lock guards the classic memory {plan.classic.name}; a record larger than "
-                "a word can be read half-written."
+                "a machine word can be read half-written."
             )
     total = sum(memory(project, plan)["memory_bytes"] for plan in project.topics)
     if total > _MUCH_MEMORY:
         found.append(
             f"all objects together take {in_bytes(total)} of shared memory; "
-            "containers often have 64 MiB of it (--shm-size)."
+            "containers often have only 64 MiB (--shm-size)."
         )
     return found

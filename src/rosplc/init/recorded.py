@@ -63,7 +63,7 @@ class RecordedRobot:
             if (wanted == ROS1) != (self._bag.ros_version == 1):
                 raise BackendError(
                     "ROS001",
-                    f"the recording is from ROS {self._bag.ros_version}; {wanted} is not a distribution of it",
+                    f"{wanted} is not a distribution of ROS {self._bag.ros_version}, which was recorded",
                     where=str(self._bag.path),
                     remedy="Omit --distro, or specify a distribution of that ROS version.",
                 )

@@ -162,7 +162,7 @@ def layout_difference(one: str, other: str, limit: int = 5) -> str:
         elif mine[path] != theirs[path]:
             found.append(f"{path} is {mine[path]} here and {theirs[path]} there")
     if not found:
-        found.append("the fields are in another order")
+        found.append("the fields are in a different order")
     more = f", and {len(found) - limit} more" if len(found) > limit else ""
     return "; ".join(found[:limit]) + more
 
@@ -313,9 +313,9 @@ class _Builder:
             place(field.name, node)
             items += lines
             if offset > MAX_RECORD or items > MAX_ITEMS:
-                what = f"{offset} bytes" if offset > MAX_RECORD else f"more than {MAX_ITEMS} fields"
+                what = f"{MAX_RECORD} bytes" if offset > MAX_RECORD else f"{MAX_ITEMS} fields"
                 raise LayoutError(
-                    "LAY003", f"{what} up to here, more than a record can have", where=path + field.name
+                    "LAY003", f"the record exceeds the limit of {what} at this field", where=path + field.name
                 )
         self._none_left(limits, path)
         if not members:

@@ -80,13 +80,13 @@ def _below(path: Path) -> list[Path]:
         for entry in folder.iterdir():
             number += 1
             if number > MAX_ENTRIES:
-                raise ValueError(f"there are more than {MAX_ENTRIES} files below")
+                raise ValueError(f"it contains more than {MAX_ENTRIES} files")
             if entry.suffix in _SUFFIXES and entry.is_file():
                 files.append(entry)
             elif entry.is_dir() and not entry.is_symlink() and not _ignored(entry):
                 folders.append(entry)
         if len(files) > MAX_FILES:
-            raise ValueError(f"there are more than {MAX_FILES} definitions below")
+            raise ValueError(f"it contains more than {MAX_FILES} definitions")
     return sorted(files)
 
 
@@ -135,7 +135,7 @@ def _name_in(manifest: Path) -> str:
             text = file.read(MAX_TEXT)  # what is longer is cut off, and so no XML
         return (ElementTree.fromstring(text).findtext("name") or "").strip()
     except (ElementTree.ParseError, OSError, ValueError):
-        raise MessageTypeError("TYP002", "this manifest is not readable", where=str(manifest)) from None
+        raise MessageTypeError("TYP002", "this manifest cannot be read", where=str(manifest)) from None
 
 
 # -- writing
@@ -179,5 +179,5 @@ def _check(file: Path, text: str) -> None:
     except FileNotFoundError:
         pass
     except (OSError, UnicodeDecodeError) as error:
-        what = getattr(error, "strerror", None) or "is not UTF-8 text"
-        raise MessageTypeError("TYP009", f"is in the way: {what}", where=str(file)) from None
+        what = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise MessageTypeError("TYP009", f"cannot read the existing file: {what}", where=str(file)) from None

@@ -70,9 +70,9 @@ def parse_value(text: str, kind: types.FieldType) -> types.Value:
         raise LiteralError(f"a field of type {kind} cannot have a default value")
     items = tuple(_parse_scalar(item, kind.element) for item in _split(text[1:-1]))
     if isinstance(kind, types.ArrayType) and len(items) != kind.length:
-        raise LiteralError(f"{len(items)} values for an array of {kind.length}")
+        raise LiteralError(f"got {len(items)} values for an array of {kind.length}")
     if isinstance(kind, types.SequenceType) and kind.bound is not None and len(items) > kind.bound:
-        raise LiteralError(f"{len(items)} values for a sequence of at most {kind.bound}")
+        raise LiteralError(f"got {len(items)} values for a sequence of at most {kind.bound}")
     return items
 
 
@@ -302,7 +302,7 @@ def _parse_line(line: str, package: str, ros_version: int) -> types.Field | type
         raise LiteralError(f"{type_text[:80]!r} is not a type")
     kind, valid = found
     if not valid:
-        raise LiteralError(f"{type_text[:80]!r}: lengths and bounds are within 1 … 4294967295")
+        raise LiteralError(f"{type_text[:80]!r}: lengths and bounds must be within 1 … 4294967295")
     if rest.startswith("="):
         return _parse_constant(name, kind, rest[1:], ros_version)
     literal = strip_comment(rest)

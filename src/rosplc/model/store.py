@@ -345,7 +345,7 @@ class TypeStore:
             what = f"{name} is a message, not {_WORDS[kind]}"
         elif name in self._interfaces:
             own, known = _WORDS[kind_of(name)], PARTS[kind_of(name)]
-            what = f"{name} is {own}, not {_WORDS[kind]}; its messages end with _{', _'.join(known)}"
+            what = f"{name} is {own}, not {_WORDS[kind]}; its message names end with _{', _'.join(known)}"
         else:
             base = name.rsplit("/", 1)[-1].lower()
             same = [other for other in every if other.rsplit("/", 1)[1].lower() == base]
@@ -357,8 +357,8 @@ class TypeStore:
             what = f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
         learnt = ""
         if kind == "msg" and self.ros_version == 2 and self.distro != "humble":
-            learnt = " `rosplc run` and `rosplc init` learn it from a running node that uses it."
-        remedy = f"`rosplc types {package}` lists its types; add the folder of others to types.paths.{learnt}"
+            learnt = " `rosplc run` and `rosplc init` can learn a type from a running node that uses it."
+        remedy = f"`rosplc types {package}` lists its types; for others, add their folder to types.paths.{learnt}"
         if not any(other.startswith(f"{package}/") for other in every):
             remedy = (
                 f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder "

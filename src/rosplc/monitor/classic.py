@@ -120,7 +120,7 @@ def look_at(plan: TopicPlan) -> ClassicState:
     path = Path("/dev/shm") / name
     value = semaphore_value(Path(f"/dev/shm/sem.{semaphore}")) if semaphore else None
     if not os.path.lexists(path):
-        return ClassicState(name, semaphore, value=value, error="there is no such memory", code="SHM101")
+        return ClassicState(name, semaphore, value=value, error="this memory does not exist", code="SHM101")
     try:
         with ClassicMemory(path, plan.layout.size, write=False) as memory:
             record = memory.read()

@@ -274,7 +274,7 @@ def judge(
     to_plc = seen.direction == "to_plc"
     if seen.bridge_alive is False:
         if seen.bridge_pid:
-            return State.DEAD, f"the heartbeat of the bridge has stopped; it was process {seen.bridge_pid}"
+            return State.DEAD, f"the heartbeat of the bridge (process {seen.bridge_pid}) has stopped"
         return State.NO_BRIDGE, "the bridge has ended; its last message remains"
     if seen.plc_alive is False and seen.plc_claimed:
         if to_plc:
@@ -284,12 +284,12 @@ def judge(
     if starting:
         return (
             State.UNKNOWN,
-            f"the bridge is starting and sends no heartbeat yet; it is process {seen.bridge_pid}",
+            f"the bridge (process {seen.bridge_pid}) is starting and has sent no heartbeat yet",
         )
     if refused_lately:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log shows why"
     if lost_lately:
-        return State.LOST, "messages are lost although every one counts; raise slots: or read more per scan"
+        return State.LOST, "messages are lost where none should be; raise slots: or read more per scan"
     # Before silence, which begins with time: the same in the first second as in the tenth.
     if seen.plc_alive is False and not seen.received:
         return _no_plc(seen)

@@ -95,7 +95,7 @@ class Rate:
 
 
 _STOPPED = ("T", "t")
-_THERE = "that process is running, but hangs"
+_THERE = "that process is running but does not respond"
 _YOUNG_S = 30.0  # a bridge claims its objects, joins ROS, and only then beats
 _START_TIME = 19  # index of the start among the fields behind the name, in ticks since the machine's start
 
@@ -168,7 +168,7 @@ class Tracked:
         except ChannelError:
             stands_right = False
         if not stands_right:
-            what = f"it describes {description.topic[:80]!r}, whose object has another name"
+            what = f"its self-description is of {description.topic[:80]!r}, whose object has another name"
             raise channel_error(113, what, attached.path)
         self.name = name
         self.prefix = namespace.prefix

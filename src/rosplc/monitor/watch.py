@@ -191,7 +191,7 @@ class Watch:
                     found[entry.name] = _File(entry.name, named.prefix, status.st_ino, status.st_size)
         except OSError as error:
             raise channel_error(123, f"cannot list: {error.strerror}", self._directory) from error
-        return found, ((f"{more} more objects are not examined",) if more else ())
+        return found, ((f"{more} more objects were not examined",) if more else ())
 
     def _view(self, file: _File, now: int, wall: int) -> ChannelView:
         error: ChannelError
@@ -259,7 +259,7 @@ class Watch:
                 prefix=prefix,
                 topic=topic,
                 state=State.MISSING,
-                words="it is configured, but there is no object: its bridge is not running",
+                words="it is configured but has no object: its bridge is not running",
                 code="SHM101",
                 configured=True,
                 kind=part.kind,

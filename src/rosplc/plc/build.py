@@ -424,8 +424,8 @@ def _notes(
         if topic.layout.size > _LARGE_DUT:
             copies = (4 if topic.classic else 3) if topic.direction == "read" else 1
             notes.append(
-                f"{topic.topic}: {topic.layout.type_name} takes {topic.layout.size} bytes, "
-                f"{copies} times in the PLC; check the size of the application's data area"
+                f"{topic.topic}: {topic.layout.type_name} takes {copies} × {topic.layout.size} bytes "
+                "in the PLC; check the size of the application's data area"
             )
         if topic.in_order and topic.direction == "read" and not options.fenced:
             notes.append(

@@ -171,7 +171,7 @@ def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -
         known = _manifest(folder, force=force)
         edited = [] if force else _edited(folder, files, known)
         if edited:
-            what = f"edited since it was generated: {listed(edited, 5)}"
+            what = f"these files were edited since they were generated: {listed(edited, 5)}"
             raise GenerationError("PLC001", what, where=str(folder))
         return _write(folder, files, known)
     except OSError as error:
@@ -217,7 +217,7 @@ def _manifest(folder: Path, *, force: bool) -> dict[str, str]:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         if force:
             return {}
-        what = f"{MANIFEST} is not readable, so edited files cannot be told from generated ones"
+        what = f"{MANIFEST} cannot be read, so edited files cannot be identified"
         raise GenerationError("PLC001", what, where=str(folder)) from None
     return {path: str(digest) for path, digest in entries if _is_below(folder, path)}
 

@@ -44,7 +44,7 @@ def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[s
     topics = [each for each in build.plc_topics(project) if each.classic is None and each.topic not in inner]
     for name in [topic.topic for topic in topics] + [call.called for call in project.calls]:
         if plc == "matiec" and len(name) > _STRING:
-            what = f"the name has {len(name)} characters, but a string of matiec has {_STRING}"
+            what = f"the name has {len(name)} characters; a matiec string holds {_STRING}"
             raise GenerationError("PLC006", what, where=name)
     made = _Openplc(project.store, project.config.settings.prefix, plc)
     made.notes += [f"{plan.topic}: classic mode needs CODESYS" for plan in project.topics if plan.classic]
@@ -152,12 +152,12 @@ class _Openplc:
             if self.plc == "matiec":
                 variable = replace(variable, type=_of_matiec(member.node, variable.type))
             elif isinstance(element, nodes.StringNode) and element.capacity > _ARRAY_STRING:
-                self.notes.append(f"{where}: STruC++ keeps {_ARRAY_STRING} characters of each string")
+                self.notes.append(f"{where}: STruC++ keeps only {_ARRAY_STRING} characters of each string")
             initial = variable.initial or ""
             text = "'" in initial and variable.type.endswith("OF BYTE")
             if text or _LEFT_OUT[self.plc].fullmatch(initial):
                 self.notes.append(
-                    f"{where}: the default value {initial} is left out: {_COMPILERS[self.plc]} changes it"
+                    f"{where}: the default value {initial} is omitted: {_COMPILERS[self.plc]} changes it"
                 )
                 variable = replace(variable, initial=None)
             members.append(variable)

@@ -86,7 +86,7 @@ class DutBuilder:
             for name, member in zip(names, node.members, strict=True)
         )
         self.omitted.extend(
-            f"{dut}: the default value of {item.name} is {item.default}, which has no literal"
+            f"{dut}: the default value of {item.name} is {item.default}, which has no IEC literal"
             for item in message.fields
             if item.default not in (None, ()) and _literal_of(item.default) is None
         )
@@ -130,7 +130,7 @@ class DutBuilder:
         for constant, given in zip(message.constants, names, strict=True):
             value = _constant(constant)
             if value is None:
-                self.omitted.append(f"{name}: {constant.name} is {constant.value}, which has no literal")
+                self.omitted.append(f"{name}: {constant.name} is {constant.value}, which has no IEC literal")
                 continue
             self.note(name, constant.name, given)
             variables.append(Variable(given, value[0], value[1]))

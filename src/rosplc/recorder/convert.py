@@ -110,7 +110,7 @@ class Conversion:
             if names and wanted_names and not common:
                 raise self._refused(f"{own.name} and {wanted.name} have no field in common")
             if [n for n in names if n in common] != [n for n in wanted_names if n in common]:
-                self.notes.append(f"{path}* have another order in {wanted.name}; they are matched by name")
+                self.notes.append(f"{path}* have another order in {wanted.name}; fields are matched by name")
         changes: dict[str, _Change] = {}
         for field in wanted.fields:
             if field.name in shape:
@@ -159,8 +159,7 @@ class Conversion:
             "REC007",
             f"the definitions do not match: {what}",
             where=self._where,
-            remedy="Use the definition of the recording, or leave the topic out with "
-            f"--exclude {self._where}.",
+            remedy=f"Use the definition of the recording, or exclude the topic with --exclude {self._where}.",
         )
 
 
@@ -196,7 +195,7 @@ class Requests(Conversion):
         if self._seen.setdefault(call, kind) != kind:
             return None
         if not event["request"]:
-            raise CodecError("COD001", "the recording lacks the request's content", where=self._where)
+            raise CodecError("COD001", "the recording lacks the content of the request", where=self._where)
         [request] = event["request"]
         return self._written(request["goal"] if self._is_goal else request)
 

@@ -307,7 +307,7 @@ _DAMAGE = (
     McapError, EOFError, struct.error, ValueError, KeyError, IndexError, OverflowError, TypeError,
     MemoryError, RuntimeError, zstandard.ZstdError,
 )  # fmt: skip
-_NO_MCAP = "Give an .mcap file; `rosplc replay` also accepts files named .bag and .db3."
+_NO_MCAP = "Specify an .mcap file; `rosplc replay` also accepts .bag and .db3 files."
 _HOPELESS = "Nothing in this file can be recovered: use another copy, or record again."
 _LOOSE = 1 << 20  # messages outside of chunks are read together in parts of about this size
 
@@ -364,7 +364,7 @@ class _Bounded:
     def read(self, length: int = -1) -> bytes:
         rest = self._size - self._file.tell()
         if not 0 <= length <= rest:
-            raise EOFError(f"a length of {length} bytes, but only {rest} are left")
+            raise EOFError(f"{length} bytes are expected, but only {rest} are left")
         return self._file.read(length)
 
     def records(self, *, skip_magic: bool) -> Iterator[McapRecord]:
@@ -525,7 +525,7 @@ def _decompress(chunk: Chunk) -> bytes:
     else:
         raise ValueError(f"unknown compression {chunk.compression[:20]!r}")
     if len(data) != size:
-        raise ValueError(f"a chunk has {'more' if len(data) > size else len(data)} instead of {size} bytes")
+        raise ValueError(f"a chunk has {'more' if len(data) > size else 'fewer'} than its {size} bytes")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("the checksum of a chunk is wrong")
     return data

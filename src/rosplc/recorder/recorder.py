@@ -63,7 +63,7 @@ class Condition:
             listed = ", ".join(known[:8]) + (", …" if len(known) > 8 else "")
             raise self._wrong(f"{layout.type_name} has no field {self.path}; it has {listed}")
         if isinstance(node, (ArrayNode, SequenceNode)):
-            raise self._wrong(f"{self.path} has several elements; name one, such as {self.path}[0]")
+            raise self._wrong(f"{self.path} has several elements; specify one, such as {self.path}[0]")
         if isinstance(node, StringNode):
             if not isinstance(self.value, str) or self.operator not in ("==", "!="):
                 raise self._wrong(f"{self.path} is a string: compare it with == or != and quoted text")

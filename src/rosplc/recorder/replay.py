@@ -144,7 +144,7 @@ def wait_for_answers(target: Target, stopped: Callable[[float], bool], clock: Cl
             end = clock.monotonic_ns() + _ANSWER_NS
     for one in target.counts.values():
         if one.open:
-            one.lost, one.reason = one.lost + one.open, "no answer came"
+            one.lost, one.reason = one.lost + one.open, "no response arrived"
 
 
 def wait_for_readers(
@@ -210,20 +210,20 @@ def chosen_topics(
         if not call and recorded_name(name) != name and name not in selection.topics:
             continue
         if not call and to_plc and topic.direction == "to_ros" and not selection.topics:
-            remarks.append(f"{name} is left out: the PLC wrote it; name it explicitly to replay it")
+            remarks.append(f"{name} is left out: the PLC wrote it; specify it explicitly to replay it")
             continue
         new = name.replace(call, rename.get(call, call), 1) if call else rename.get(name, name)
         if new in chosen:
             raise RecordingError("REC007", f"{new} would receive the messages of two topics", where=name)
         chosen[new] = topic
     if unknown:
-        raise RecordingError("REC006", "the recording has no calls or goals of this name", where=min(unknown))
+        raise RecordingError("REC006", "no calls or goals of this name were recorded", where=min(unknown))
     names = {one.service or one.action or one.name for one in source.topics.values()}
     remarks += (f"not renamed: {wrong} is not in the recording" for wrong in rename if wrong not in names)
     if not chosen:
         known = ", ".join(sorted(source.topics)) or "none"
         calls = any(one.service or one.action for one in source.topics.values())
-        remedy = "To send recorded requests or goals, name them with --service or --action." if calls else ""
+        remedy = "To send recorded requests or goals, add --service or --action." if calls else ""
         what = f"no topic is left to replay; topics of the recording: {known}"
         raise RecordingError("REC006", what, remedy=remedy)
     return chosen, remarks
@@ -393,7 +393,7 @@ class PlcTarget(Target):
                 "REC007",
                 f"according to {who}, the PLC writes this topic",
                 where=name,
-                remedy=f"Leave it out with --exclude {name}, or rename it with --rename {name}:=/other.",
+                remedy=f"Exclude it with --exclude {name}, or rename it with --rename {name}:=/other.",
             )
         if layout.type_name != renamed(topic.type_name, layout.store):
             what = f"{who} has {layout.type_name}, but the topic was recorded as {topic.type_name}"
@@ -411,7 +411,7 @@ class PlcTarget(Target):
         plan = next(found, None)
         if plan is None or project is None:
             what = f"the configuration has no {kind} of this name with server: plc"
-            remedy = f"Give the bridge's file with --config, or send the {_ASKED[kind]} to ROS with --to ros."
+            remedy = f"Set --config to the bridge's file, or send the {_ASKED[kind]} to ROS with --to ros."
             raise RecordingError("REC007", what, where=called, remedy=remedy)
         if plan.type_name != topic.call_type:
             what = f"the configuration has {plan.type_name}, but the {kind} was recorded as {topic.call_type}"

@@ -138,7 +138,7 @@ class McapSource(Source):
         self.start_ns = min((part.start_ns for part in parts), default=0)
         self.end_ns = max((part.end_ns for part in parts), default=0)
         self.notes = tuple(
-            f"{found.path}: {found.problem}; only the part before is replayed"
+            f"{found.path}: {found.problem}; only the part before this is replayed"
             for found in self._surveys
             if not found.complete or found.damaged
         )
@@ -267,8 +267,8 @@ class _BagSource(Source):
                 self.unusable[name] = "it was recorded with two different types or definitions"
             elif not topic.definition and topic.type_name not in known:
                 self.unusable[name] = (
-                    f"the file has no definition of {topic.type_name}, and neither has {known.distro} "
-                    "(--distro chooses another distribution)"
+                    f"neither the file nor {known.distro} contains a definition of {topic.type_name} "
+                    "(select another distribution with --distro)"
                 )
 
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:

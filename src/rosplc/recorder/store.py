@@ -337,7 +337,7 @@ def _writing(path: Path) -> Iterator[None]:
             raise RecordingError("REC002", f"cannot write: {error.strerror}", where=str(path)) from error
         what = error.strerror or str(error)
         if isinstance(error, FileExistsError):
-            what = "a file of this name exists already and is not overwritten"
+            what = "a file with this name already exists and is not overwritten"
         raise RecordingError("REC001", what, where=str(path)) from error
 
 

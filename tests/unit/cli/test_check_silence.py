@@ -30,11 +30,11 @@ INT = "std_msgs/msg/Int32"
             "after 1s the PLC's msg is the type's initial message, with xSubstituted and xStale, "
             "whether or not the bridge runs; a record that does not change counts as silent",
         ),
-        ("to: ros", "ROS gets nothing"),
-        ("to: ros, stale_after: 2s", "ROS gets nothing; 500ms later /diagnostics shows STALE"),
+        ("to: ros", "ROS receives nothing"),
+        ("to: ros, stale_after: 2s", "ROS receives nothing; 500ms later /diagnostics shows STALE"),
         (
             "to: ros, stale_after: 2s, on_stale: {value: {data: -1}, period: 5Hz}",
-            'after 2s ROS gets {"data": -1} every 200ms, and /a/substituted shows this; '
+            'after 2s ROS receives {"data": -1} every 200ms, and /a/substituted shows this; '
             "500ms later /diagnostics shows STALE",
         ),
     ],

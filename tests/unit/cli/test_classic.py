@@ -65,7 +65,7 @@ def test_show_lists_classic_topics_of_a_configuration(config: Path, name: str) -
     assert code == 0
     line = next(line for line in out.splitlines() if line.startswith(f"/{name} "))
     assert "48 of 48" in line and line.endswith("taken")
-    assert f"/{name}/free: {name}.free: there is no such memory [SHM101]" in errors
+    assert f"/{name}/free: {name}.free: this memory does not exist [SHM101]" in errors
     listed = {entry["topic"]: entry for entry in json.loads(run("show", "--config", config, "--json")[1])}
     assert listed[f"/{name}"]["message"]["linear"]["x"] == 1.5
     assert listed[f"/{name}/free"]["code"] == "SHM101"

@@ -72,7 +72,7 @@ def test_what_is_wrong_is_said_in_words_and_ends_with_status_1(shm_namespace, mo
     shm_namespace.path("/broken").write_bytes(b"\x1b" * 600)
     output = rosplc("status", "--prefix", shm_namespace.prefix, code=1).output
     side.close()
-    assert f"/n: dead: the heartbeat of the bridge has stopped; it was process {os.getpid()}" in output
+    assert f"/n: dead: the heartbeat of the bridge (process {os.getpid()}) has stopped" in output
     assert "/broken: unreadable: " in output
     assert "[SHM104]" in output
     assert "\x1b" not in output
@@ -100,7 +100,7 @@ def test_a_configuration_says_what_is_missing(tmp_path, shm_namespace):
     )
     output = rosplc("status", "--config", config, "--prefix", shm_namespace.prefix, code=1).output
     assert "/a: missing: " in output
-    assert "/b: missing: there is no such memory" in output
+    assert "/b: missing: this memory does not exist" in output
 
 
 def test_a_configuration_means_its_bridge_only(running, tmp_path, shm_namespace):

@@ -71,7 +71,7 @@ def test_a_difference_of_definitions() -> None:
     one, other = (compute_layout(store, "a/B") for store in stores)
     assert one.difference(other) == "y exists only here; z exists only there"
     swapped = compute_layout(TypeStore.from_definition("a/B", "int8 y\nint8 x\n"), "a/B")
-    assert one.difference(swapped) == "the fields are in another order"
+    assert one.difference(swapped) == "the fields are in a different order"
     twist, accel = (compute_layout(JAZZY, f"geometry_msgs/{name}") for name in ("Twist", "Accel"))
     assert twist.difference(accel) == "type is geometry_msgs/msg/Twist here and geometry_msgs/msg/Accel there"
 

@@ -247,7 +247,7 @@ def test_what_a_wrong_name_is_told() -> None:
     for name in ("std_srvs/SetBol", "std_srvs/SetBool", "std_srvs/srv/SetBool_Reqest"):
         with pytest.raises(MessageTypeError, match=r"did you mean std_srvs/srv/SetBool\?"):
             store[name]
-    with pytest.raises(MessageTypeError, match="is a service, not a message; its messages end with _Request"):
+    with pytest.raises(MessageTypeError, match="not a message; its message names end with _Request"):
         store["std_srvs/srv/SetBool"]
     with pytest.raises(MessageTypeError, match="is an action, not a service"):
         store.service("example_interfaces/action/Fibonacci")

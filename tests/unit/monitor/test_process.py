@@ -22,7 +22,7 @@ def test_a_bridge_is_there_stopped_ended_or_gone():
     try:
         assert child.stdout is not None
         child.stdout.readline()  # while a process becomes another program, it has no command line
-        assert process_words(child.pid) == "that process is running, but hangs"
+        assert process_words(child.pid) == "that process is running but does not respond"
         child.send_signal(signal.SIGSTOP)
         _wait_for(child.pid, "that process is stopped (SIGSTOP)")
     finally:
@@ -42,7 +42,7 @@ def _wait_for(pid, words):
 @pytest.mark.parametrize(
     ("stat", "command", "words"),
     [
-        ("7 (a) b) S 1", b"/usr/bin/rosplc\0run\0", "that process is running, but hangs"),
+        ("7 (a) b) S 1", b"/usr/bin/rosplc\0run\0", "that process is running but does not respond"),
         ("7 (vim) S 1", b"vim\0", "that process ID belongs to another program"),
         ("", b"", ""),
     ],

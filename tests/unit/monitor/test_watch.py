@@ -417,7 +417,7 @@ def test_too_many_objects_are_said(cell, tmp_path, monkeypatch):
         (tmp_path / f"{cell.namespace.prefix}.t.n{number}").touch()
     picture = cell.watch(directory=str(tmp_path)).look()
     assert len(picture.channels) == 3
-    assert picture.notes == ("2 more objects are not examined",)
+    assert picture.notes == ("2 more objects were not examined",)
     assert MAX_CHANNELS >= 1000
 
 

@@ -312,7 +312,7 @@ def test_what_ros_has_recorded_is_sent_once(tmp_path: Path) -> None:
     with ros_server() as got:
         count = play(source, RosTarget(topics, backend="memory", domain=DOMAIN), topics)
     assert (got, count.sent, count.refused) == ([True, False], 2, 1)
-    assert "lacks the request's content" in count.reason
+    assert "lacks the content of the request" in count.reason
 
 
 def test_another_definition_is_refused(tmp_path: Path) -> None:

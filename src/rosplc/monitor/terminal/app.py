@@ -68,7 +68,7 @@ class Course(Vertical):
         figures = self.query_one("#course-figures", Static)
         shown = values[-max(1, self.size.width) :]
         if not shown:
-            name.update(Text("It contains no number", style="dim"))
+            name.update(Text("This field has no numbers", style="dim"))
             figures.update("")
             bars.data = []
             return
@@ -514,12 +514,12 @@ KEYS
   q, Ctrl-C           quit
 
 STATES, worst first; a mark precedes each problem
-X unreadable  the object is damaged, or you may not read it
-X missing     it is configured, but there is no object
+X unreadable  the object is damaged, or access to it is denied
+X missing     the topic is configured, but has no object
 X dead        the heartbeat of its bridge or PLC has stopped
 ! no bridge   the bridge was stopped; its last message remains
-! refused     in the last ten seconds messages did not fit
-! lost        messages were lost although every one counts
+! refused     messages did not fit in the last ten seconds
+! lost        messages were lost where none should be
 ~ stale       the newest message is older than stale_after
 ~ silent      still no message after stale_after
 ! no PLC      no PLC task reads or writes it
@@ -536,7 +536,7 @@ COLUMNS
   PLC     whether the PLC task sends a heartbeat
 
 Without --config, a channel to the PLC is stale after 1 s without
-a message, one to ROS never. This program only reads.
+a message, one to ROS never. This program is read-only.
 """
 
 
