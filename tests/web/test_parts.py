@@ -146,11 +146,11 @@ def test_a_token_file_gives_its_token(tmp_path) -> None:
     [
         ("0123456789abcdef", 0o640, "other than its owner"),
         ("0123456789abcdef", 0o604, "other than its owner"),
-        ("short", 0o600, "contains no token"),
-        ("0123456789 abcdef", 0o600, "contains no token"),
-        ("0123456789abcdef\nsecond", 0o600, "contains no token"),
-        ("ä" * 20, 0o600, "contains no token"),
-        ("x" * 1000, 0o600, "contains no token"),
+        ("short", 0o600, "does not contain a token"),
+        ("0123456789 abcdef", 0o600, "does not contain a token"),
+        ("0123456789abcdef\nsecond", 0o600, "does not contain a token"),
+        ("ä" * 20, 0o600, "does not contain a token"),
+        ("x" * 1000, 0o600, "does not contain a token"),
     ],
 )
 def test_a_token_file_that_is_not_safe_is_refused(tmp_path, content: str, mode: int, what: str) -> None:

@@ -18,7 +18,7 @@ from rosplc.monitor.tracked import Rate
 # show topics and numbers whole, so it does without the types and what the counts tell anyway.
 _WIDE = 104
 
-_COLUMNS = ("topic", "type", "way", "sent", "received", "per s", "under way", "lost", "torn", "age at PLC")
+_COLUMNS = ("topic", "type", "way", "sent", "received", "per s", "in flight", "lost", "torn", "age at PLC")
 
 
 class LiveView:
@@ -50,7 +50,7 @@ class LiveView:
         robot, plc = demo.robot, demo.plc
         wide = self._live.console.width >= _WIDE
         table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
-        shown = [number for number, name in enumerate(_COLUMNS) if wide or name not in ("type", "under way")]
+        shown = [number for number, name in enumerate(_COLUMNS) if wide or name not in ("type", "in flight")]
         for number in shown:
             table.add_column(_COLUMNS[number], no_wrap=True, justify="right" if number > 2 else "left")
         command, type_name = COMMAND

@@ -402,8 +402,8 @@ def plan_service(
     """
     if config is None:
         if name is None:
-            remedy = "Give --config FILE, or the NAME of /etc/rosplc/NAME.yaml."
-            raise SetupError("SYS011", "no bridge was named", remedy=remedy)
+            remedy = "Specify --config FILE, or the NAME of /etc/rosplc/NAME.yaml."
+            raise SetupError("SYS011", "no bridge was specified", remedy=remedy)
         config = Path(f"/etc/rosplc/{name}.yaml")
     config = Path(config if config.is_absolute() else config.absolute())
     found = root / config.relative_to("/")
@@ -428,7 +428,7 @@ def plan_service(
 def require_systemd() -> None:
     """Raise SYS011 unless systemd runs this machine."""
     if not Path("/run/systemd/system").is_dir():
-        remedy = "In a container, let its manager run `rosplc run FILE`; --root DIR prepares an image."
+        remedy = "In a container, have its manager run `rosplc run FILE`; --root DIR prepares an image."
         raise SetupError("SYS011", "systemd is not running on this machine", remedy=remedy)
 
 
@@ -438,7 +438,7 @@ def _absolute(program: Path) -> Path:
     beside = Path(sys.executable).with_name("rosplc")  # python -m rosplc
     found = str(beside) if beside.exists() else shutil.which("rosplc")
     if found is None:
-        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Run it by its path.")
+        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Run it by its full path.")
     return Path(found).absolute()
 
 
@@ -448,15 +448,15 @@ def _group_name(group: str | int | None) -> str:
     try:
         return grp.getgrgid(group).gr_name
     except KeyError:
-        what = f"this machine has no group with the number {group} (shm.group)"
-        raise SetupError("SYS011", what, remedy="Give the group's name; it is created.") from None
+        what = f"this machine has no group with the ID {group} (shm.group)"
+        raise SetupError("SYS011", what, remedy="Set shm.group to a name; it is then created.") from None
 
 
 def _notes(plan: Plan, config: Config) -> list[str]:
     notes = [*open_doors(config), *contention(config)]
     for what, path in (("the rosplc command", plan.program), ("the configuration", plan.config)):
         if any(path.is_relative_to(hidden) for hidden in _HIDDEN):
-            notes.append(f"the service cannot access {what} {path}; install it in /opt, /usr or /etc")
+            notes.append(f"the service cannot access {what} {path}; move it to /opt, /usr or /etc")
     owner = config.settings.shm.owner
     if owner not in (None, plan.user):
         notes.append(

@@ -404,7 +404,7 @@ class Attached(Mapped):
                 return writer
             now = self.snapshot().writer
             if now.epoch == before.epoch and (now.beat, now.head) != (before.beat, before.head):
-                raise channel_error(114, f"process {now.pid} is its writer", self.path)
+                raise channel_error(114, f"process {now.pid} is already its writer", self.path)
             before = now
             time.sleep(_LOOK_NS / 1e9)
 

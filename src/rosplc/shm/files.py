@@ -80,8 +80,8 @@ def refuse_second_name(fd: int, path: Path) -> None:
     """
     count = os.fstat(fd).st_nlink
     if count > 1:
-        what = f"the file has {count} names, which are hard links"
-        remedy = f"`find {path.parent} -samefile {path}` lists all of them; remove the wrong ones."
+        what = f"the file has {count} names (hard links)"
+        remedy = f"`find {path.parent} -samefile {path}` lists all of them; remove all but the right one."
         raise ChannelError("SHM121", what, where=str(path), remedy=remedy)
 
 

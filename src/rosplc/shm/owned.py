@@ -267,7 +267,7 @@ class _Found:
         """Retire an object that is not adopted."""
         if self.fd >= 0:
             retire_file(self.fd)
-            self.difference = self.difference or "another object of the same use is replaced"
+            self.difference = self.difference or "another object of the same service or action was replaced"
             self.close()
 
     def make(self) -> None:

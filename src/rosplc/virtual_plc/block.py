@@ -306,7 +306,7 @@ class ReadBlock(Block):
         if max_per_cycle < 1:
             raise ValueError(f"{topic}: max_per_cycle must be at least 1")
         if (on_stale == "value") != (stale_value is not None):
-            raise ValueError(f'{topic}: on_stale="value" and stale_value go together')
+            raise ValueError(f'{topic}: on_stale="value" and stale_value require each other')
         self._stale_value = stale_value
         super().__init__(topic, layout=layout, prefix=prefix, directory=directory, beat_ms=beat_ms)
         self.xValid = self.xNew = False

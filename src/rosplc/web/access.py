@@ -74,7 +74,7 @@ def read_token(path: Path) -> str:
         what = f"users other than its owner have access to it: {describe_status(status)}"
         raise WebError("WEB002", what, where=str(path), remedy=f"chmod 600 {path}.")
     if not _CHARACTERS.fullmatch(text):
-        what = f"contains no token: {_FEWEST} to {_MOST} printable characters without blanks"
+        what = f"does not contain a token of {_FEWEST} to {_MOST} printable characters without blanks"
         raise WebError("WEB002", what, where=str(path))
     return text
 
@@ -174,12 +174,12 @@ async def add_headers(request: web.Request, response: web.StreamResponse) -> Non
 def _check(settings: Settings, request: web.Request) -> None:
     host = request.headers.get("Host", "")
     if wrong_host(host, settings.names):
-        raise WebError("WEB003", f"the request names the host {host[:80]!r}")
+        raise WebError("WEB003", f"the request is for the host {host[:80]!r}")
     origin = request.headers.get("Origin")
     foreign = origin is not None and wrong_origin(origin, host)
     fetched_by = request.headers.get("Sec-Fetch-Site", "none")
     if foreign or (request.path.startswith("/api/") and fetched_by not in ("same-origin", "none")):
-        raise WebError("WEB004", f"request from another site's page, origin {(origin or 'unknown')[:80]!r}")
+        raise WebError("WEB004", f"request from the page of another site: {(origin or 'unknown')[:80]!r}")
     # The page itself says nothing; what it shows comes from /api/. A WebSocket brings its token as its
     # first message, since a page cannot give it a header.
     if settings.token_to_view and request.path.startswith("/api/") and request.path != "/api/live":

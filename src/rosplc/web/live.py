@@ -89,7 +89,7 @@ class Wants:
         found = data if isinstance(data, dict) else {"messages": None}
         messages, plots = found.get("messages", []), found.get("plots", {})
         if not isinstance(messages, list) or not isinstance(plots, dict):
-            what = "a page's request must be an object; `messages` a list, `plots` an object"
+            what = "a page's request must be an object with a list `messages` and an object `plots`"
             raise WebError("WEB009", what)
         for name in [*messages, *plots]:
             if not isinstance(name, str) or len(name) > _MAX_ID:
@@ -103,7 +103,7 @@ class Wants:
             except ValueError as error:
                 raise WebError("WEB009", str(error)) from None
         if len(messages) > MAX_MESSAGES or len(fields) > MAX_PLOTS:
-            raise WebError("WEB009", f"the limits are {MAX_MESSAGES} messages and {MAX_PLOTS} fields to plot")
+            raise WebError("WEB009", f"a page can have at most {MAX_MESSAGES} messages and {MAX_PLOTS} plots")
         return cls(frozenset(messages), {name: frozenset(paths) for name, paths in plots.items() if paths})
 
 

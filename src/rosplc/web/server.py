@@ -112,10 +112,10 @@ class _Api:
         wish = await _json(request)
         channel, layout, message = wish.get("channel"), wish.get("layout"), wish.get("message")
         if not isinstance(channel, str) or not isinstance(layout, str) or not isinstance(message, dict):
-            raise WebError("WEB009", "`channel` and `layout` must be strings, `message` an object")
+            raise WebError("WEB009", "`channel` and `layout` must be strings, and `message` an object")
         view = self._channel(channel)
         if view["kind"] != "topic":
-            raise WebError("WEB008", "calls can only be made by the PLC or in ROS", where=view["label"])
+            raise WebError("WEB008", "only the PLC and ROS nodes can make calls", where=view["label"])
         namespace = Namespace(view["prefix"], self._settings.directory)
         who = f"the page at {request.remote}"
         try:
@@ -143,7 +143,7 @@ class _Api:
     def _channel(self, channel: str) -> dict[str, Any]:
         view = self.feed.channels.get(channel)
         if view is None:
-            raise WebError("WEB008", "there is no such channel at present", where=channel[:200])
+            raise WebError("WEB008", "this channel does not exist at present", where=channel[:200])
         if view["classic"]:
             raise WebError("WEB008", "a classic topic's memory has no type description", where=view["topic"])
         return view
@@ -178,7 +178,7 @@ async def _json(request: web.Request) -> dict[str, Any]:
         body = await asyncio.wait_for(request.read(), BODY_SECONDS)
         data = json.loads(body, parse_constant=_refuse_constant)
     except asyncio.TimeoutError:
-        raise WebError("WEB009", f"the request did not end within {BODY_SECONDS:g} s") from None
+        raise WebError("WEB009", f"the request was not complete within {BODY_SECONDS:g} s") from None
     except (ValueError, RecursionError):
         data = None
     if not isinstance(data, dict):

@@ -48,7 +48,7 @@ export function channelList(selected) {
     el("thead", {}, el("tr", {},
       el("th", { scope: "col", class: "col-state" }, "State"),
       el("th", { scope: "col" }, "Topic"),
-      el("th", { scope: "col", class: "col-way" }, "Way"),
+      el("th", { scope: "col", class: "col-way" }, "Direction"),
       el("th", { scope: "col", class: "num col-rate" }, "Rate ", el("small", {}, "1/s")),
       el("th", { scope: "col", class: "num" }, "Age"),
       el("th", { scope: "col", class: "num col-lost", title: "Messages that a reader missed; a reader that takes only the newest misses some by design" }, "Missed"),
@@ -188,7 +188,7 @@ export function channelList(selected) {
 
   function nothing(total) {
     if (total) return "No channel matches.";
-    if (store.link !== "live" || !store.timeMs) return "Looking …";
+    if (store.link !== "live" || !store.timeMs) return "Loading …";
     return "There are no channels on this machine. Start a bridge (rosplc run rosplc.yaml) or the demonstration (rosplc demo): they appear here automatically.";
   }
 

@@ -22,7 +22,7 @@ export function channelDetail(id, plots) {
   const curve = sparkline("Messages per second over the last minutes");
   const facts = new Map();
   const factList = el("dl", { class: "facts" });
-  const body = el("div", { class: "message-body" }, el("p", { class: "empty" }, "Looking …"));
+  const body = el("div", { class: "message-body" }, el("p", { class: "empty" }, "Loading …"));
   const about = el("p", { class: "message-about" });
   const writing = el("div", { class: "writing" });
   const own = eventList((event) => event.channel === id, { limit: 8, topic: false, empty: "No events here since this page was opened." });
@@ -80,8 +80,8 @@ export function channelDetail(id, plots) {
   function showChannel() {
     const channel = store.channels.get(id);
     if (!channel) {
-      setText(title, store.link === "live" && store.timeMs ? "This channel is gone" : "Looking …");
-      setText(words, store.link === "live" && store.timeMs ? "No object has this name at present. If it returns, it is shown here." : "");
+      setText(title, store.link === "live" && store.timeMs ? "This channel is gone" : "Loading …");
+      setText(words, store.link === "live" && store.timeMs ? "No object has this name at present. A new one will be shown here." : "");
       setAttribute(root, "data-gone", "");
       state.update("gone", "quiet");
       return;

@@ -24,7 +24,7 @@ function wrong(form, text) {
   }
   if (!WHOLE.test(trimmed)) return "a whole number is expected";
   const value = BigInt(trimmed.replace("+", ""));
-  return value < BigInt(form.low) || value > BigInt(form.high) ? `from ${form.low} to ${form.high}` : null;
+  return value < BigInt(form.low) || value > BigInt(form.high) ? `must be from ${form.low} to ${form.high}` : null;
 }
 
 /** Whether a message has a NaN or an infinity, which have to be meant. */

@@ -45,7 +45,7 @@ export async function ask(path, body = null) {
   try {
     response = await fetch(path, options);
   } catch {
-    throw { code: "", what: "the server is not responding", where: "", remedy: "Is rosplc web still running?" };
+    throw { code: "", what: "the server is not responding", where: "", remedy: "Check that rosplc web is still running." };
   }
   let answer = {};
   try {
@@ -54,7 +54,7 @@ export async function ask(path, body = null) {
     // An answer that is no JSON is an error without words.
   }
   if (!response.ok) {
-    throw answer.error ?? { code: "", what: `the server answered ${response.status}`, where: "", remedy: "" };
+    throw answer.error ?? { code: "", what: `the server returned status ${response.status}`, where: "", remedy: "" };
   }
   return answer;
 }

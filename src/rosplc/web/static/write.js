@@ -19,9 +19,9 @@ export function writeForm(id, { form, layout, initial }) {
   const take = el("button", { type: "button", class: "button", onclick: () => {
     const message = store.messages.get(id);
     if (message?.values) inputs.set(message.values);
-    setText(result, message?.values ? "The form holds the newest message." : "There is no message to take.");
-  } }, "Take the newest message");
-  const reset = el("button", { type: "button", class: "button", onclick: () => { initialise(); setText(result, "The form holds the initial values."); } }, "Initial values");
+    setText(result, message?.values ? "The form contains the newest message." : "There is no message to use.");
+  } }, "Use the newest message");
+  const reset = el("button", { type: "button", class: "button", onclick: () => { initialise(); setText(result, "The form contains the initial values."); } }, "Initial values");
   const question = dialog((message) => write(message));
 
   const root = el("details", { class: "write" },
