@@ -339,7 +339,7 @@ class ChannelsToRos(Grouped[PortToRos]):
             try:
                 ports[index].side.receive(data, flags, stamp_ns, stamp_clock)
             except Exception:  # what was taken for the other streams must still be sent
-                log.exception("%s: passing on a message failed", ports[index].side.plan.topic)
+                log.exception("%s: forwarding a message failed", ports[index].side.plan.topic)
         again = []
         for index, fault in faults:
             port = ports[index]

@@ -223,7 +223,7 @@ class ClassicPort(Port):
             self.side.note(now_ns, words, "SHM131")
         if self._object.mended > self._mended:
             self._mended = self._object.mended
-            words = f"semaphore {self._classic.semaphore} admitted more than one process; value corrected"
+            words = f"semaphore {self._classic.semaphore} had a value above 1, which was corrected"
             self.side.note(now_ns, words, "SHM132")
 
 

@@ -93,7 +93,7 @@ class Buffer:
         if not child or not parent or child == parent:
             return "it needs two different frames"
         if not (abs(square - 1) <= 0.01 and math.isfinite(x + y + z)):
-            return f"{pose} is not a translation and unit quaternion"
+            return f"{pose} is not a translation with a unit quaternion"
         scale = 1 / math.sqrt(square)
         link = stamp_ns, parent, (x, y, z, qx * scale, qy * scale, qz * scale, qw * scale)
         with self._lock:

@@ -108,7 +108,7 @@ class Child:
             reason = f"it exited with status {status}"
         self._log.seek(0)
         output = "".join(f"\n  {self.role}: {line}" for line in self._log.read().splitlines()[-_LAST_LINES:])
-        again = "Run the demo again; if it persists, the message above shows which part fails."
+        again = "Run the demo again; if the problem persists, the message above shows which part fails."
         what = f"the {self.role} process failed: {reason}{output}"
         raise SetupError("SYS002", what, remedy="" if output else again)
 

@@ -45,7 +45,7 @@ class LiveView:
 
     def _picture(self, demo: Demo) -> Group:
         if demo.phase == "starting":
-            text = "Starting robot, bridge and virtual PLC; waiting until they discover each other …"
+            text = "Starting the robot, the bridge and the virtual PLC; they discover each other …"
             return Group(Text(text))
         robot, plc = demo.robot, demo.plc
         wide = self._live.console.width >= _WIDE

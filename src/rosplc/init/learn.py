@@ -146,12 +146,12 @@ def learn(definitions: Definitions, backend: Backend, topic: str, type_name: str
     nodes = {end.node: end.type_hash for end in ends if end.node and end.type_hash}
     trouble = f"no node uses {topic} with this type"
     if ends and not nodes:
-        trouble = "its nodes do not announce a type hash (those of ROS 2 Humble never do)"
+        trouble = "the nodes that use it announce no type hash (none do in ROS 2 Humble)"
     for node, type_hash in list(nodes.items())[:_MOST_NODES]:
         service = f"{node}/get_type_description"
         try:
             if servers and service not in servers:
-                raise _refused("it does not offer this service")
+                raise _refused("it does not offer type descriptions")
             answer = _ask(backend, definitions.store, service, type_name, type_hash)
             take(definitions, answer, type_name, type_hash, f"node {node}")
         except RosplcError as error:

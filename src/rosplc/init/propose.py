@@ -126,7 +126,7 @@ def _tell(entry: Entry, topic: Topic, seen: Seen | None) -> None:
     if len(topic.types) > 1:
         entry.about.append(f"It has several types: {', '.join(topic.types)}.")
     if to == "ros" and topic.publishers:
-        entry.about.append("Both its publishers and the PLC will publish.")
+        entry.about.append("Both its publishers and the PLC will publish to it.")
     if seen is None or (to == "ros" and not seen.messages):
         return
     if not seen.messages:

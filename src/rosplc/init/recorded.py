@@ -63,7 +63,7 @@ class RecordedRobot:
             if (wanted == ROS1) != (self._bag.ros_version == 1):
                 raise BackendError(
                     "ROS001",
-                    f"{wanted} is not a distribution of ROS {self._bag.ros_version}, which was recorded",
+                    f"{wanted} is not a ROS {self._bag.ros_version} distribution, as the recording requires",
                     where=str(self._bag.path),
                     remedy="Omit --distro, or specify a distribution of that ROS version.",
                 )

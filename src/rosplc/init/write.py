@@ -87,7 +87,7 @@ def _calls(found: Found) -> Iterator[str]:
 def refuse_to_overwrite(path: Path, *, force: bool) -> None:
     """Raise CFG013 if there is something at ``path`` already, and CFG014 if nothing can be put there."""
     if os.path.lexists(path) and not force:
-        raise ConfigError("CFG013", f"{path} exists already", where=str(path))
+        raise ConfigError("CFG013", f"{path} already exists", where=str(path))
     if path.is_dir():
         raise ConfigError("CFG014", "this is a folder", where=str(path))
     if not path.parent.is_dir():
@@ -108,7 +108,7 @@ def write_file(path: Path, text: str, *, force: bool) -> None:
         else:
             os.link(part, path)  # unlike a rename, this fails where somebody was faster
     except FileExistsError:
-        raise ConfigError("CFG013", f"{path} exists already", where=str(path)) from None
+        raise ConfigError("CFG013", f"{path} already exists", where=str(path)) from None
     except OSError as error:
         raise ConfigError("CFG014", f"{error.strerror or error}", where=str(path)) from None
     finally:

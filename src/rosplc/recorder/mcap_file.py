@@ -525,7 +525,7 @@ def _decompress(chunk: Chunk) -> bytes:
     else:
         raise ValueError(f"unknown compression {chunk.compression[:20]!r}")
     if len(data) != size:
-        raise ValueError(f"a chunk has {'more' if len(data) > size else 'fewer'} than its {size} bytes")
+        raise ValueError(f"a chunk does not contain the {size} bytes that it claims")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("the checksum of a chunk is wrong")
     return data

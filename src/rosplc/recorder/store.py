@@ -395,6 +395,6 @@ def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: N
     if not file.messages:
         target.unlink()
         what = found.problem or "it has no messages"
-        remedy = "The file has no complete message: use another copy, or record again."
+        remedy = "The file contains no complete message: use another copy, or record again."
         raise RecordingError("REC003", f"nothing to save: {what}", where=str(source), remedy=remedy)
     return Repaired(target, file.messages, topics, found.problem, len(found.damaged))

@@ -108,7 +108,7 @@ _TEMPLATE = """\
 {mark}
 [Unit]
 Description=rosplc bridge %i between ROS and the PLC
-# DDS selects its network interface once, at the start. There is no order with the PLC's runtime: either
+# DDS selects its network interface once, at the start. There is no ordering with the PLC's runtime: either
 # side may start first, and a PLC should not wait for a network.
 Wants=network-online.target
 After=network-online.target

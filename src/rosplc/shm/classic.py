@@ -412,7 +412,7 @@ def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
 
 
 def _denied(code: str, thing: str, path: Path, remedy: str) -> ChannelError:
-    what = f"the {thing} is {files.describe_owner(path)}, but this process runs as user {os.geteuid()}"
+    what = f"the {thing} ({files.describe_owner(path)}) is not accessible to user {os.geteuid()}"
     return ChannelError(code, what, where=str(path), remedy=remedy)
 
 

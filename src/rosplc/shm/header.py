@@ -48,7 +48,7 @@ def layout_id_words(layout_id: str) -> tuple[int, int]:
     """Return ``layout_id_lo`` and ``layout_id_hi`` of 16 hexadecimal digits; ValueError for anything else."""
     raw = bytes.fromhex(layout_id)
     if len(raw) != 8 or len(layout_id) != 16:
-        raise ValueError(f"a layout id has 16 hexadecimal digits, not {layout_id!r}")
+        raise ValueError(f"a layout id must have 16 hexadecimal digits, not {layout_id!r}")
     low, high = struct.unpack("<II", raw)
     return low, high
 

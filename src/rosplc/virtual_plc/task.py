@@ -281,7 +281,7 @@ class VirtualPlc:
     def task(self, name: str, interval: float, **options: Any) -> Task:
         """Add a cyclic task and return it; ``options`` are the others of :class:`Task`."""
         if any(task.name == name for task in self.tasks):
-            raise ValueError(f"a task named {name} exists already")
+            raise ValueError(f"a task named {name} already exists")
         self.tasks.append(Task(name, interval, **options))
         return self.tasks[-1]
 

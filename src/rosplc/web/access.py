@@ -174,7 +174,7 @@ async def add_headers(request: web.Request, response: web.StreamResponse) -> Non
 def _check(settings: Settings, request: web.Request) -> None:
     host = request.headers.get("Host", "")
     if wrong_host(host, settings.names):
-        raise WebError("WEB003", f"the request is for the host {host[:80]!r}")
+        raise WebError("WEB003", f"the request is for the host {host[:80]!r}, not for this server")
     origin = request.headers.get("Origin")
     foreign = origin is not None and wrong_origin(origin, host)
     fetched_by = request.headers.get("Sec-Fetch-Site", "none")

@@ -182,7 +182,7 @@ def test_an_object_of_the_user_is_never_overwritten(ide, name, capsys):
     run(import_script(project(write("/cmd_vel"))), ide)
     assert ide.tree()[f"/Mine/{name}"] == before
     assert "/ROS/Types/geometry_msgs_Twist" not in ide.tree()
-    assert "rosplc: geometry_msgs_Twist exists and is not rosplc's; rename it" in capsys.readouterr().out
+    assert "geometry_msgs_Twist exists and was not created by rosplc; rename it" in capsys.readouterr().out
     assert "/ROS/Blocks/geometry_msgs_Twist_Write" in ide.tree()
 
 

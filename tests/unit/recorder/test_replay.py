@@ -420,7 +420,7 @@ def test_fields_go_by_their_names(left: bool, shm_namespace: Namespace, tmp_path
     target = PlcTarget(source.topics, shm_namespace, project=None if left else project)
     play_into(target, source)
     assert shown(shm_namespace, "/axis") == {"position": 7.0, "speed": 3.0}
-    assert any("another order" in note for note in target.notes)
+    assert any("ordered differently" in note for note in target.notes)
 
 
 @pytest.mark.parametrize(

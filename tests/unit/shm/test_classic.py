@@ -115,7 +115,7 @@ def test_rights_that_are_missing_are_named(tmp_path: Path, name: str) -> None:
     os.close(writer)
     said = os.read(reader, 10_000).decode().splitlines()
     os.close(reader)
-    assert "the memory is root:root 0750, but this process runs as user 65534 [SHM102]" in said[0]
+    assert "the memory (root:root 0750) is not accessible to user 65534 [SHM102]" in said[0]
     assert "run the bridge as the runtime's user" in said[0]
     assert "the semaphore is root:root 0700" in said[1] and "[SHM128]" in said[1]
 

@@ -158,7 +158,7 @@ def test_two_tasks_of_one_name_are_refused():
     """Task names are unique in a virtual PLC."""
     plc = VirtualPlc()
     plc.task("T", 0.01)
-    with pytest.raises(ValueError, match="exists already"):
+    with pytest.raises(ValueError, match="already exists"):
         plc.task("T", 0.01)
 
 
