@@ -251,7 +251,7 @@ def test_objects_removed_under_a_running_bridge(
     bridge.says("carries 2 topics")
     for path in Path("/dev/shm").glob(f"{shm_namespace.prefix}.*"):
         path.unlink()
-    bridge.says("it is created again [SHM120]")
+    bridge.says("creating it again [SHM120]")
     wait_for(lambda: len(rosplc.topics(shm_namespace.prefix)) == 2)
     wait_for(lambda: shm_namespace.lock_path("/in").exists())
     assert bridge.stop() == 0

@@ -274,7 +274,7 @@ static int put_many(const FieldObject *field, uint8_t *base, PyObject *value, mi
     if (count < 0) {
         failed = -1;
     } else if (field->many == ARRAY && count != (Py_ssize_t)field->n) {
-        failed = refuse(m, PyUnicode_FromFormat("%zd elements for an array of %u", count, field->n));
+        failed = refuse(m, PyUnicode_FromFormat("got %zd elements for an array of %u", count, field->n));
     } else if (count > (Py_ssize_t)field->n) {
         failed = refuse(m, PyUnicode_FromFormat("%zd elements, but the limit is %u", count, field->n));
     } else if (field->many == SEQUENCE) {

@@ -242,7 +242,7 @@ class Binding:
             channel.close()
 
     def _reopen(self) -> None:
-        _log.warning("%s: the object was removed or replaced; it is created again", self.topic)
+        _log.warning("%s: the object was removed or replaced; creating it again", self.topic)
         self._leave()
         self._open()
 

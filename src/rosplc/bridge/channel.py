@@ -90,7 +90,7 @@ class ChannelPort(Port, Generic[_U]):
         if channel is None:
             return True
         if not channel.still_there():
-            self.side.note(now_ns, "the object was removed or replaced; it is created again", "SHM120")
+            self.side.note(now_ns, "the object was removed or replaced; creating it again", "SHM120")
             return True
         alive = self._observe(channel, now_ns)
         if alive:

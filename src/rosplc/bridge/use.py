@@ -188,7 +188,7 @@ class Use(Notes, ABC):
             if channels and all(reader.line is not None for reader in readers.values()):
                 if all(channel.still_there() for channel in channels.values()):
                     return False
-                self.note(now_ns, "an object was removed or replaced; all are created again", "SHM120")
+                self.note(now_ns, "an object was removed or replaced; creating all of them again", "SHM120")
         except (ChannelError, ValueError, OSError) as error:
             super().fail(now_ns, error)
         self._broken = channels

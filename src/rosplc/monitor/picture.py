@@ -449,7 +449,7 @@ def _changes(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[
 def _counters(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[Event]:
     for kind, what, count in (
         ("refused", "refused", after.refused - before.refused),
-        ("truncated", "cut to fit", after.truncated - before.truncated),
+        ("truncated", "truncated", after.truncated - before.truncated),
         ("lost", "lost", after.lost - before.lost if after.state is State.LOST else 0),
     ):
         if count > 0:

@@ -97,7 +97,7 @@ export function channelDetail(id, plots) {
     showFact("Messages", count(channel.received));
     showFact("Missed by readers", count(channel.lost));
     showFact("Refused", count(channel.refused), channel.refused ? "warn" : null);
-    showFact("Cut to fit", count(channel.truncated), channel.truncated ? "warn" : null);
+    showFact("Truncated", count(channel.truncated), channel.truncated ? "warn" : null);
     showFact("Stale after", channel.stale_after_ns ? span(channel.stale_after_ns) : "never");
     if (channel.call) {
       showFact("Newest call", channel.call.number ? `${count(channel.call.number)}, ${channel.call.status}` : "none", channel.call.open ? "warn" : null);

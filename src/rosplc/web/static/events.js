@@ -8,7 +8,7 @@ import { store } from "./store.js";
 
 const WORDS = {
   appeared: "appeared", vanished: "vanished", replaced: "replaced", unreadable: "unreadable", readable: "readable again",
-  stale: "stale", recovered: "recovered", refused: "refused", lost: "lost", truncated: "cut to fit",
+  stale: "stale", recovered: "recovered", refused: "refused", lost: "lost", truncated: "truncated",
   "bridge-gone": "bridge gone", "bridge-back": "bridge back", "plc-gone": "PLC gone", "plc-back": "PLC back",
   written: "test message", "write-refused": "write refused",
 };

@@ -63,7 +63,7 @@ export function writeForm(id, { form, layout, initial }) {
     show("Writing …", "quiet");
     try {
       const answer = await ask("/api/write", { channel: id, layout, message, not_finite: !isFinite(form, message) });
-      show(`Written, as message number ${answer.sequence}.`, "good");
+      show(`Written as message number ${answer.sequence}.`, "good");
     } catch (error) {
       const field = error.code === "LAY006" ? inputs.at(error.where) : null;
       field?.complain(error.what);
@@ -82,7 +82,7 @@ export function writeForm(id, { form, layout, initial }) {
 function dialog(yes) {
   const title = el("h2", { id: "write-title" });
   const values = el("pre", { class: "values", tabindex: "0", "aria-label": "The values" });
-  const warning = el("p", { class: "tone-bad" }, "The message has numbers that are not finite (nan, inf). A PLC program calculates with them as with any other number.");
+  const warning = el("p", { class: "tone-bad" }, "The message contains numbers that are not finite (nan, inf). A PLC program calculates with them as with any other number.");
   let message = null;
   const close = el("button", { type: "button", class: "button", onclick: () => root.close() }, "Do not write");
   const root = el("dialog", { class: "dialog", "aria-labelledby": "write-title" },
