@@ -184,7 +184,7 @@ static PyObject *group_add_reader(GroupObject *self, PyObject *args)
         return NULL;
     if (mode < 0 || mode > 2 || limit == 0)
         return PyErr_Format(PyExc_ValueError,
-                            "mode is 0 (newest), 1 (in order) or 2 (only report), and limit at least 1");
+                            "mode must be 0 (newest), 1 (in order) or 2 (only report), and limit at least 1");
     if (plan->record_size != reader->owner->region.geometry.record_size)
         return PyErr_Format(PyExc_ValueError, "the plan's records have %lu bytes, those of %U have %lu",
                             (unsigned long)plan->record_size, reader->owner->path,

@@ -142,7 +142,7 @@ static PyObject *view_to_dict(ViewObject *self, PyObject *const *args, Py_ssize_
 {
     reading how = {NULL, NULL, 0};
     if (count != 0 && count != 2)
-        return PyErr_Format(PyExc_TypeError, "_to_dict() takes no arguments, or 2");
+        return PyErr_Format(PyExc_TypeError, "_to_dict() takes 0 or 2 arguments");
     if (count) {
         if (ch_as_u32(args[0], "elements", &how.most))
             return NULL;

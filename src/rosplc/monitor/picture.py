@@ -289,7 +289,7 @@ def judge(
     if refused_lately:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log shows why"
     if lost_lately:
-        return State.LOST, "messages are lost where none should be; raise slots: or read more per scan"
+        return State.LOST, "messages are lost although all should be read; raise slots: or read more per scan"
     # Before silence, which begins with time: the same in the first second as in the tenth.
     if seen.plc_alive is False and not seen.received:
         return _no_plc(seen)

@@ -519,7 +519,7 @@ X missing     the topic is configured, but has no object
 X dead        the heartbeat of its bridge or PLC has stopped
 ! no bridge   the bridge was stopped; its last message remains
 ! refused     messages did not fit in the last ten seconds
-! lost        messages were lost where none should be
+! lost        messages were lost although all should be read
 ~ stale       the newest message is older than stale_after
 ~ silent      still no message after stale_after
 ! no PLC      no PLC task reads or writes it
