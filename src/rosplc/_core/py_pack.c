@@ -17,8 +17,9 @@ static int is_no(misfit *m, PyObject *value, const char *kind, PyObject *type)
     PyObject *text, *name = NULL, *what = NULL;
     PyErr_Clear();
     if ((text = PyObject_Repr(value)) && (name = PyObject_GetAttrString((PyObject *)Py_TYPE(value), "__name__")))
-        what = PyUnicode_FromFormat(PyUnicode_GetLength(text) <= 60 ? "%U (%S) is not a valid %V" :
-                                    "%.57U... (%S) is not a valid %V", text, name, type, kind);
+        what = PyUnicode_FromFormat(PyUnicode_GetLength(text) <= 60 ? "%U (%S) is not a valid %V"
+                                                                    : "%.57U... (%S) is not a valid %V",
+                                    text, name, type, kind);
     Py_XDECREF(name);
     Py_XDECREF(text);
     return refuse(m, what);

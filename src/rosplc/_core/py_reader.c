@@ -207,7 +207,7 @@ static PyObject *reader_view(ReaderObject *self, PyObject *const *args, Py_ssize
     if (late)
         Py_RETURN_FALSE;
     if ((size_t)wanted != size || mode > ROSPLC_TAKE_PEEK)
-        return PyErr_Format(PyExc_ValueError, "the shape's records have %zd bytes, those of %U have %zu, or mode %u is not valid",
+        return PyErr_Format(PyExc_ValueError, "the shape has %zd-byte records, %U has %zu, or mode %u is not valid",
                             wanted, self->owner->path, size, (unsigned)mode);
     take = rosplc_take_start((int)mode);
     record = reader_bytes(self, &take);

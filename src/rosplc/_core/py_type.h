@@ -12,7 +12,7 @@ static inline int py_only_interpreter(void)
         first = mine;
     if (first == mine)
         return 0;
-    PyErr_SetString(PyExc_ImportError, "rosplc supports one interpreter per process, and another interpreter has already loaded it");
+    PyErr_SetString(PyExc_ImportError, "rosplc supports only one interpreter per process; another one has loaded it");
     return -1;
 }
 
