@@ -174,9 +174,9 @@ def test_another_parent() -> None:
 @pytest.mark.parametrize(
     ("child", "parent", "pose", "words"),
     [
-        ("", "base", AT_REST, "two frames"),
-        ("tool", "", AT_REST, "two frames"),
-        ("tool", "tool", AT_REST, "two frames"),
+        ("", "base", AT_REST, "two different frames"),
+        ("tool", "", AT_REST, "two different frames"),
+        ("tool", "tool", AT_REST, "two different frames"),
         ("tool", "base", (math.nan, *AT_REST[1:]), "unit quaternion"),
         ("tool", "base", (math.inf, *AT_REST[1:]), "unit quaternion"),
         ("tool", "base", (0.0,) * 7, "unit quaternion"),
