@@ -103,7 +103,7 @@ def propose(
     if layout.size > _LARGEST:
         raise LayoutError(
             "LAY003",
-            f"judging by the data, a record would need {layout.size} bytes; the limit is {_LARGEST}",
+            f"based on the data seen, a record needs {layout.size} bytes; the limit is {_LARGEST}",
             where=topic.name,
             remedy="Choose a topic with smaller messages, or write the entry and its limits by hand.",
         )
