@@ -44,7 +44,7 @@ def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[s
     topics = [each for each in build.plc_topics(project) if each.classic is None and each.topic not in inner]
     for name in [topic.topic for topic in topics] + [call.called for call in project.calls]:
         if plc == "matiec" and len(name) > _STRING:
-            what = f"the name has {len(name)} characters; a matiec string holds {_STRING}"
+            what = f"the name has {len(name)} characters; a matiec string has at most {_STRING}"
             raise GenerationError("PLC006", what, where=name)
     made = _Openplc(project.store, project.config.settings.prefix, plc)
     made.notes += [f"{plan.topic}: classic mode needs CODESYS" for plan in project.topics if plan.classic]

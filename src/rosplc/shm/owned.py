@@ -341,7 +341,7 @@ def _head_without_slot(fd: int, found: Identity) -> str:
         # does not move is the slot's word evidence.
         before, head = head, _word(fd, spec.WRITER_LINE["head"])
         if before == head:
-            return f"head is {head}, but its slot holds another message"
+            return f"head is {head}, but its slot contains another message"
     return ""  # it moves faster than we can look: somebody writes
 
 
