@@ -134,7 +134,7 @@ def node(dds_domain: int) -> Iterator[Callable[..., Backend]]:
             "topics:\n  /a: {type: std_msgs/Bool, to: plc}\n  /a: {type: std_msgs/Bool, to: ros}\n",
             "CFG006",
             5,
-            "already on line 4",
+            "already defined on line 4",
         ),
         ("topics:\n  /a: {type: std_msgs/String, to: plc, limits: {data: 0}}\n", "LAY001", 4, "capacity 0"),
         ("topics:\n\t/a: {}\n", "CFG002", 4, "indented with a tab"),
@@ -320,7 +320,7 @@ def test_peers_that_do_not_fit(
     problems = {
         "/part": "as my_msgs/msg/Part with another definition",
         "/type": "publishes /type as std_msgs/msg/Float32, but here it is std_msgs/msg/Int32",
-        "/qos": "the publisher is best_effort, the subscriber wants reliable",
+        "/qos": "the publisher is best_effort, but the subscriber requests reliable",
     }
     for topic, words in problems.items():
         assert topic in bridge.says(f"{words}")

@@ -215,7 +215,7 @@ def test_other_definition_found_by_its_bytes(graph: Graph, peer: StartPeer) -> N
     status = subscription.status()
     assert (status.code, status.reason) == (
         "ROS003",
-        f"10 messages on /data do not fit {twist} as it is defined here",
+        f"10 messages on /data do not fit the definition of {twist} used here",
     )
     assert got == []
 

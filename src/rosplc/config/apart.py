@@ -37,7 +37,7 @@ def apart(function: Callable[..., _T], *arguments: object) -> _T:
     _, status = os.waitpid(pid, 0)
     if not data:
         code = os.waitstatus_to_exitcode(status)
-        raise RuntimeError(f"the process of {function.__name__} ended with status {code}")
+        raise RuntimeError(f"the process running {function.__name__} ended with status {code}")
     result, error = pickle.loads(data)
     if error is not None:
         raise error

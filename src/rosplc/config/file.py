@@ -53,7 +53,7 @@ class Config:
         """Return a task's name, without one the first; note at a key path that there is none of this name."""
         tasks = self.settings.tasks
         if asked is not None and asked not in tasks:
-            problems.wrong(self.source, key, f"there is no task {asked!r}; tasks has: {', '.join(tasks)}")
+            problems.wrong(self.source, key, f"task {asked!r} is not defined; known: {', '.join(tasks)}")
         return asked or next(iter(tasks))
 
     @classmethod
@@ -177,7 +177,7 @@ def _with_new_names(data: dict[str, Any], source: YamlSource, problems: Problems
                 "%s is now called %s; `rosplc check --fix` rewrites the file", source.place(path), new
             )
     if len(found) > _MOST_WARNINGS:
-        log.warning("%s: %d more keys have new names", source.name, len(found) - _MOST_WARNINGS)
+        log.warning("%s: %d more keys have been renamed", source.name, len(found) - _MOST_WARNINGS)
     return {**data, "topics": topics}
 
 
@@ -217,7 +217,7 @@ def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigE
     kind, value, context = item["type"], item.get("input"), item.get("ctx", {})
     if kind == "extra_forbidden":
         hint = did_you_mean(str(path[-1]), _keys_at(path[:-1]))
-        return source.wrong(path, f"{path[-1]!r} is not a key here{hint}", code="CFG003")
+        return source.wrong(path, f"{path[-1]!r} is not a valid key here{hint}", code="CFG003")
     if kind == "missing":
         remedy = _MISSING.get(str(path[-1]), "")
         remedy = remedy.replace("/msg/", _FOLDERS.get(str(path[0]), "/msg/"))
@@ -255,7 +255,7 @@ _SHAPES = {
 def _show(value: Any) -> str:
     if isinstance(value, (dict, list, tuple)):
         return "a group of keys" if isinstance(value, dict) else "a list"
-    return "nothing" if value is None else repr(value)
+    return "an empty value" if value is None else repr(value)
 
 
 def _keys_at(path: KeyPath) -> Iterator[str]:

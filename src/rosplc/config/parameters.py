@@ -58,7 +58,7 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
             problems.wrong(config.source, (*key, name), f"{name} and {same} would both be {field} in the PLC")
         above = next((other for other in asked.declare if name.startswith(f"{other}.")), "")
         if above and store.ros_version == 1:
-            problems.wrong(config.source, (*key, name), f"in ROS 1 {above} cannot also be a group")
+            problems.wrong(config.source, (*key, name), f"in ROS 1, {above} cannot also be a namespace")
         fields[name] = field
         most, longest = entry.capacity or settings.limits.sequence, entry.length or settings.limits.string
         if entry.type.endswith("_array"):
@@ -98,7 +98,7 @@ def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> 
             raise ValueError(f"a {entry.type} cannot have a range")
         least, greatest, step = (converted(entry.type, each) for each in (*entry.range, 0)[:3])
         if not least <= greatest or step < 0:
-            raise ValueError(f"the range {list(entry.range)} is empty")
+            raise ValueError(f"the range {list(entry.range)} is empty or has a negative step")
         span = least, greatest, step
     value = entry.value
     if value is None:
@@ -140,7 +140,7 @@ def _yaml(text: str, what: str) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
-        raise _refuse(what, f"it is not YAML: {' '.join(str(error).split())}") from None
+        raise _refuse(what, f"not valid YAML: {' '.join(str(error).split())}") from None
 
 
 def _from_file(path: Path, node: str) -> dict[str, Any]:

@@ -58,13 +58,13 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
     name = asked.name or classic_name(topic)
     key = ("topics", topic, "classic")
     if len(name) > MAX_NAME:
-        what = f"the name {name!r} has {len(name)} characters; a PLC's STRING holds {MAX_NAME}"
+        what = f"the name {name!r} has {len(name)} characters; a STRING in the PLC can have {MAX_NAME}"
         raise config.source.wrong(key, what, "Set a shorter name with classic: {name: …}.")
     if name.startswith(settings.prefix + "."):
-        what = f"the name {name!r} begins with {settings.prefix}., as this bridge's own objects do"
+        what = f"the name {name!r} begins with {settings.prefix}., reserved for this bridge's objects"
         raise config.source.wrong(key, what, "Set another name with classic: {name: …}.")
     if settings.shm.directory != "/dev/shm":
-        what = "classic topics are in /dev/shm, where semaphores are; shm.directory is "
+        what = "classic topics must be in /dev/shm, like semaphores; shm.directory is "
         raise config.source.wrong(key, what + settings.shm.directory)
     poll = settings.tick_ns
     if not passes_changes_only(entry) and entry.to == "ros":
@@ -116,15 +116,15 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     record = checked_record(config, asked.value, layout, (*key, "value"))
     if entry.to == "plc":
         if asked.period_ns is not None:
-            what = "a PLC block provides its value at every scan and has no period"
+            what = "a PLC block provides its value in every scan, so it has no period"
             raise wrong(what, "Remove it.", (*key, "period"))
         return StalePlan("value", asked.value, record)
     if asked.period_ns is None:
-        raise wrong("'period' is missing", "Add how often the message is published, such as period: 100ms.")
+        raise wrong("'period' is missing", "Add the interval between messages, such as period: 100ms.")
     if asked.period_ns < _SHORTEST_NS:
-        raise wrong(f"{format_duration(asked.period_ns)} is shorter than 1ms", at=(*key, "period"))
+        raise wrong(f"{format_duration(asked.period_ns)} is below the minimum, 1ms", at=(*key, "period"))
     if flag_topic(topic) in config.settings.topics:
-        what = f"{flag_topic(topic)} tells ROS that {topic} is substituted; it cannot be configured"
+        what = f"{flag_topic(topic)} shows in ROS whether {topic} is substituted; it cannot be configured"
         raise wrong(what, "Rename the configured topic.")
     return StalePlan("substitute", asked.value, record, asked.period_ns)
 
@@ -132,17 +132,17 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
 def _check_silence(entry: TopicSettings, stale_ns: int, wrong: Any) -> None:
     """Refuse what would take a source that speaks for silent, or never notice that it is."""
     if not stale_ns:
-        default = "" if entry.stale_after_ns is not None else " (the default of to: ros)"
-        raise wrong(f"stale_after is never{default}, so no silence counts", "Add stale_after: 1s.")
+        default = "" if entry.stale_after_ns is not None else " (the default for to: ros)"
+        raise wrong(f"stale_after is never{default}, so on_stale has no effect", "Add stale_after: 1s.")
     if entry.to == "ros":
         if entry.classic is not None:
-            what = "in a classic memory, a silent PLC looks like one that repeats the same message"
-            raise wrong(what, "Remove it, or carry the topic without classic.")
+            what = "in classic mode, a silent PLC looks like one that repeats the same message"
+            raise wrong(what, "Remove on_stale, or carry the topic without classic.")
     elif entry.classic is None and entry.on_change:
         what = "on_change drops equal messages, so a source that repeats a message would count as silent"
         raise wrong(what, "Remove on_change.")
     if (entry.rate_limit_ns or 0) >= stale_ns:
-        what = f"rate_limit allows more time between messages than stale_after, {format_duration(stale_ns)}"
+        what = f"rate_limit allows a longer interval than stale_after ({format_duration(stale_ns)})"
         raise wrong(what, "Raise stale_after, or remove rate_limit.")
 
 
@@ -162,7 +162,7 @@ def checked_record(
         if isinstance(item, float) and not math.isfinite(item):
             raise config.source.wrong((*key, *path), f"{item} is not a number")
         if isinstance(item, str) and not item.isprintable():
-            raise config.source.wrong((*key, *path), f"{item!r} has characters that cannot be printed")
+            raise config.source.wrong((*key, *path), f"{item!r} contains characters that cannot be printed")
     return record
 
 
@@ -363,7 +363,7 @@ def _contradictions(
         wrong((name,), f"{name} applies only to `server: {other}`", "Remove it.")
     if isinstance(entry, ServiceSettings):
         if entry.per_client is not None and entry.per_client > entry.depth:
-            wrong(("per_client",), f"{entry.per_client} is more than depth, {entry.depth}")
+            wrong(("per_client",), f"{entry.per_client} exceeds depth, which is {entry.depth}")
     elif entry.queue is not None and entry.server == "plc" and entry.on_new_goal != "buffer":
         what = f"with `on_new_goal: {entry.on_new_goal}`, no goal waits"
         wrong(("queue",), what, "Remove it, or write `on_new_goal: buffer`.")

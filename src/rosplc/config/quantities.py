@@ -20,7 +20,7 @@ def _split(value: Any, example: str, units: Iterable[str]) -> tuple[Fraction, st
     if not match:
         raise ValueError(f"{value!r} should be a number with a unit, such as {example}")
     if match[2] not in units:
-        raise ValueError(f"{value!r} has the unit {match[2]!r}; the units are {', '.join(units)}")
+        raise ValueError(f"{value!r} has an unknown unit, {match[2]!r}; use {', '.join(units)}")
     return Fraction(match[1]), match[2]
 
 
@@ -60,11 +60,11 @@ def parse_mode(value: Any) -> int:
     mode = int(value[-3:], 8)
     if mode & 0o600 != 0o600:
         raise ValueError(
-            f'{value!r} does not let the owner, the bridge, read and write; start with 6, as in "0660"'
+            f'{value!r} does not let the bridge, as owner, read and write; use a mode such as "0660"'
         )
     if mode & 0o111:
         raise ValueError(
-            f'{value!r} has execute bits, which shared memory does not use; "0660" is the usual mode'
+            f'{value!r} has execute bits, which shared memory does not use; use a mode such as "0660"'
         )
     return mode
 

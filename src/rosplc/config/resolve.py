@@ -182,9 +182,9 @@ def resolve(config: Config) -> Project:
         if entry.classic is not None:
             name = entry.classic.name or classic_name(topic)
         if name in names:
-            key, what = where, f"{topic} and {names[name]} both become {name}"
+            key, what = where, f"{topic} and {names[name]} both get the object name {name}"
             if own and topic in settings.topics:
-                key, what = ("topics", topic), f"the bridge itself has {topic} for the PLC"
+                key, what = ("topics", topic), f"the bridge itself already carries {topic} for the PLC"
             problems.wrong(config.source, key, what, "", "CFG007")
         names[name] = topic
         task = config.task(entry.task, (*where, "task"), problems)
@@ -353,8 +353,8 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
     slots = 1 << (entry.slots - 1).bit_length()
     if slots < least:
         what = (
-            f"{entry.slots} slots are too few for a message every {format_duration(fastest)} "
-            f"of {record_size} bytes; {least} are needed"
+            f"{entry.slots} slots are too few for a message of {record_size} bytes "
+            f"every {format_duration(fastest)}; at least {least} are needed"
         )
         raise config.source.wrong(("topics", topic, "slots"), what, code="CFG008")
     return slots
@@ -365,7 +365,7 @@ def check_ros(config: Config, problems: Problems) -> None:
     ros, refuse = config.settings.ros, partial(problems.wrong, config.source)
     if ros.backend in _ROS2 and ros.distro == ROS1:
         what = f"the {ros.backend} backend is for ROS 2, but {ROS1} is ROS 1"
-        refuse(("ros", "backend"), what, "Write `backend: rospy` (or auto), or a distro of ROS 2.")
+        refuse(("ros", "backend"), what, "Write `backend: rospy` (or auto), or choose a ROS 2 distro.")
     if ros.backend == "rospy" and ros.distro != ROS1:
         known = "" if "distro" in ros.model_fields_set else " (the default)"
         what = f"the rospy backend is for ROS 1, but {ros.distro}{known} is ROS 2"
@@ -378,7 +378,7 @@ def check_ros(config: Config, problems: Problems) -> None:
             refuse(("ros", name), what, f"Write `backend: {name}`, or remove them.")
         elif ros.distro == ROS1:
             what = f"these settings are for the {name} backend, which is for ROS 2; {ROS1} is ROS 1"
-            refuse(("ros", name), what, "Remove them, or choose a distro of ROS 2.")
+            refuse(("ros", name), what, "Remove them, or choose a ROS 2 distro.")
     if ros.zenoh is not None and ros.zenoh.config is not None:
         path = config.base / ros.zenoh.config
         if not path.is_file():
@@ -420,8 +420,8 @@ def open_doors(config: Config) -> list[str]:
         return found  # opening it says so
     if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
         found.append(
-            f"{shm.directory} is {stat.S_IMODE(mode):04o}: every user of this machine may remove and replace "
-            f"the objects there; `chmod +t {shm.directory}` keeps users apart"
+            f"{shm.directory} has mode {stat.S_IMODE(mode):04o}: every user of this machine may remove and "
+            f"replace the objects there; `chmod +t {shm.directory}` prevents this"
         )
     return found
 
@@ -441,9 +441,9 @@ def _id(config: Config, key: str, kind: str, find: Callable[[str], int]) -> int 
             return find(given)
         except KeyError:
             what = f"there is no {kind} {given!r} on this machine"
-            remedy = "Create it, or name another; `getent passwd` and `getent group` list them."
+            remedy = "Create it, or choose another; `getent passwd` and `getent group` list them."
             raise Absent("CFG004", what, where=place, remedy=remedy) from None
     # -1 and its unsigned twin would mean "leave it as it is" to the kernel.
     if given is not None and not 0 <= given <= _LARGEST_ID:
-        raise ConfigError("CFG004", f"{given} is not within 0 … {_LARGEST_ID}", where=place)
+        raise ConfigError("CFG004", f"{given} is not between 0 and {_LARGEST_ID}", where=place)
     return given

@@ -88,7 +88,7 @@ def _absolute(what: str) -> AfterValidator:
         if not re.fullmatch(_TOPIC, name):
             nearest = "/" + "/".join(part for part in re.sub(r"[^A-Za-z0-9_/]", "_", name).split("/") if part)
             hint = f", such as {nearest!r}" if re.fullmatch(_TOPIC, nearest) else ""
-            raise ValueError(f"a {what} begins with / and has letters, digits, _ and single slashes{hint}")
+            raise ValueError(f"{what} start with / and have letters, digits, _ and single slashes{hint}")
         return name
 
     return AfterValidator(check)
@@ -96,7 +96,7 @@ def _absolute(what: str) -> AfterValidator:
 
 def _not_longer(text: str, most: int) -> None:
     if len(text) > most:
-        raise ValueError(f"a text of {len(text)} characters; the limit is {most}")
+        raise ValueError(f"the text has {len(text)} characters; the limit is {most}")
 
 
 def _pattern(expression: str, wording: str, longest: int = LONGEST_NAME) -> AfterValidator:
@@ -113,7 +113,7 @@ def _known_distro(name: str) -> str:
     if name not in DISTROS:
         hint = did_you_mean(name, DISTROS)
         listed = "" if "; known" in hint else f" Known: {', '.join(DISTROS)}"
-        raise ValueError(f"{name!r} is not bundled{hint}{listed}")
+        raise ValueError(f"{name!r} is not a bundled distribution{hint}{listed}")
     return name
 
 
@@ -143,14 +143,14 @@ _NAME = r"(/|~/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
 _PARAMETER = r"[A-Za-z][A-Za-z0-9_]*(\.[A-Za-z][A-Za-z0-9_]*)*"
 _LOCATOR = r"[a-z0-9_-]+/.+"
 
-TopicName = Annotated[str, _absolute("topic"), _schema(_TOPIC)]
-ServiceName = Annotated[str, _absolute("service"), _schema(_TOPIC)]
-ActionName = Annotated[str, _absolute("action"), _schema(_TOPIC)]
+TopicName = Annotated[str, _absolute("topic names"), _schema(_TOPIC)]
+ServiceName = Annotated[str, _absolute("service names"), _schema(_TOPIC)]
+ActionName = Annotated[str, _absolute("action names"), _schema(_TOPIC)]
 ClientName = Annotated[
     str, _pattern(_CLIENT, "a letter, then at most 31 letters, digits or _"), _schema(_CLIENT)
 ]
 FrameName = Annotated[
-    str, _pattern(_FRAME, "a frame: letters, digits, _ . / or -, no / first"), _schema(_FRAME)
+    str, _pattern(_FRAME, "a frame name: letters, digits, _ . / or -, no leading /"), _schema(_FRAME)
 ]
 Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
 GraphName = Annotated[str, _pattern(_NAME, "a name such as /cmd_vel, cmd_vel or ~/cmd_vel"), _schema(_NAME)]
@@ -159,14 +159,14 @@ Locator = Annotated[
     _pattern(_LOCATOR, "protocol/address:port, such as tcp/192.168.1.10:7447", LONGEST_TEXT),
     _schema(_LOCATOR),
 ]
-NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, not a digit first", 255), _schema(_NODE)]
+NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, no leading digit", 255), _schema(_NODE)]
 NamespaceName = Annotated[str, _pattern(_NAMESPACE, "/ or a name such as /robot1"), _schema(_NAMESPACE)]
 SharedName = Annotated[
     str,
-    _pattern(_SHM_NAME, "a name without a slash: at most 80 letters, digits, _ . or -, not sem.… itself"),
+    _pattern(_SHM_NAME, "at most 80 letters, digits, _ . or -, with no leading . - or sem."),
     _schema(_SHM_NAME),
 ]
-TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, not a digit first"), _schema(_TASK)]
+TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, no leading digit"), _schema(_TASK)]
 TypeName = Annotated[
     str, _pattern(_TYPE, "package/msg/Name, such as geometry_msgs/msg/Twist", LONGEST_TYPE), _schema(_TYPE)
 ]
@@ -181,7 +181,7 @@ ActionTypeName = Annotated[
     _schema(_ACTION_TYPE),
 ]
 ParameterName = Annotated[
-    str, _pattern(_PARAMETER, "words of letters, digits and _, with dots between them"), _schema(_PARAMETER)
+    str, _pattern(_PARAMETER, "words of letters, digits and _, separated by dots"), _schema(_PARAMETER)
 ]
 BackendName = Annotated[
     str, AfterValidator(_known_backend), WithJsonSchema({"type": "string", "enum": ["auto", *BACKENDS]})
@@ -212,7 +212,7 @@ class ZenohSettings(_Section):
     """How the `zenoh` backend reaches its peers; the defaults are those of rmw_zenoh."""
 
     mode: Literal["peer", "client"] | None = _f(
-        None, "`peer` finds peers by gossip and connects to them directly; `client` uses a router."
+        None, "`peer` discovers peers by gossip and connects to them directly; `client` uses a router."
     )
     connect: Annotated[tuple[Locator, ...], Field(max_length=MOST_PATHS)] | None = _f(
         None, "Addresses of routers or peers, such as `tcp/192.168.1.10:7447`."
@@ -248,11 +248,11 @@ class RosSettings(_Section):
     domain: StrictInt | None = _f(None, "The ROS domain. Default: `ROS_DOMAIN_ID`, else 0.", ge=0, le=232)
     node_name: NodeName | None = _f(None, "The node's name. Default: `rosplc_` and the bridge's name.")
     namespace: NamespaceName = _f(
-        "/", "The node's namespace; topics in this file are absolute and ignore it."
+        "/", "The node's namespace; it does not affect the topics in this file, which are absolute."
     )
     remap: dict[GraphName, GraphName] = _f(
         {},
-        "Topic → topic, as `-r from:=to` on the command line, which takes precedence; names in the PLC stay.",
+        "Topic → new topic, like `-r from:=to`, which takes precedence. Names in the PLC do not change.",
         max_length=MOST_REMAPPINGS,
     )
     zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; with them, `auto` selects it.")
@@ -281,7 +281,7 @@ class ShmSettings(_Section):
     """The objects in shared memory."""
 
     mode: FileMode = _f(
-        "0660", "Permission bits, as text. A PLC runtime of another user needs a common group."
+        "0660", "Permission bits, as text. If the PLC runtime has another user, set a common `group`."
     )
     owner: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
         None, "User that owns the objects, by name or number; changing it needs root."
@@ -299,12 +299,12 @@ class DiagnosticsSettings(_Section):
 
     enabled: bool = _f(True, "Whether `diagnostic_msgs/msg/DiagnosticArray` is published.")
     period_ns: Annotated[Duration, between("100ms", "1h")] = _f(
-        "1s", "Time between two such messages, 100ms to 1h."
+        "1s", "Time between two diagnostic messages, 100ms to 1h."
     )
     debounce_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "500ms",
-        "How long a source must be silent beyond `stale_after` before this is reported, and send again "
-        "before the report ends, 1ms to 1h: a single late message does not change the level.",
+        "How long a source must be silent beyond `stale_after` before the level changes, and how long it "
+        "must send again before the level returns, 1ms to 1h. A single late message has no effect.",
     )
 
 
@@ -312,9 +312,9 @@ class RosoutSettings(_Section):
     """Logs that go to `/rosout`, where ROS collects the logs of nodes."""
 
     bridge: bool = _f(
-        True, "Publish the bridge's log there. `--ros-args --disable-rosout-logs` also turns this off."
+        True, "Publish the bridge's log on `/rosout`, unless `--ros-args --disable-rosout-logs` is given."
     )
-    plc: bool = _f(False, "Let the PLC program log there, with `RosPlc_Log` blocks.")
+    plc: bool = _f(False, "Let the PLC program log to `/rosout` with `RosPlc_Log` blocks.")
     task: TaskName | None = _f(None, "The PLC task that has these blocks. Default: the first of `tasks`.")
 
 
@@ -334,25 +334,25 @@ class RealtimeSettings(_Section):
     """
 
     policy: Literal["fifo"] | None = _f(
-        None, "`fifo`: SCHED_FIFO, ahead of every ordinary process. It requires permission (SYS010)."
+        None, "`fifo`: SCHED_FIFO, ahead of ordinary processes; it requires permission (SYS010)."
     )
     priority: StrictInt = _f(
-        20, "SCHED_FIFO priority, 1 to 99. CODESYS tasks have 52 to 67; use a lower one.", ge=1, le=99
+        20, "SCHED_FIFO priority, 1 to 99. CODESYS tasks use 52 to 67; choose a lower one.", ge=1, le=99
     )
     affinity: tuple[Annotated[StrictInt, Field(ge=0, le=4095)], ...] = _f(
         (), "Processors that these threads may run on, such as `[1]`. Default: all."
     )
-    lock_memory: bool = _f(False, "Lock all pages in use in memory, so that none is swapped out.")
+    lock_memory: bool = _f(False, "Lock all used pages in memory, so that they cannot be swapped out.")
     gc: Literal["auto", "off", "freeze"] = _f(
         "auto",
-        "Python's garbage collector. `freeze`: it no longer examines objects from before the start. `off`: "
-        "in addition, it runs only on a timer: a short collection each second, a full one each minute.",
+        "Python's garbage collector. `freeze`: it ignores objects created before the start. `off`: in "
+        "addition, it runs only on a timer: a short collection each second, a full one each minute.",
     )
 
     @model_validator(mode="after")
     def _priority_has_a_policy(self) -> RealtimeSettings:
         if self.policy is None and "priority" in self.model_fields_set:
-            raise ValueError("priority does nothing without policy: fifo")
+            raise ValueError("priority has no effect without policy: fifo")
         return self
 
 
@@ -363,7 +363,7 @@ class TaskSettings(_Section):
     interval_ns: Duration = _f("10ms", "The cycle time.")
     priority: StrictInt = _f(4, "The priority: 0 is the highest, 31 the lowest.", ge=0, le=31)
     watchdog_ns: Duration | None = _f(None, "The longest time that a cycle may take. Default: no watchdog.")
-    watchdog_sensitivity: StrictInt = _f(1, "Number of overruns in a row that trigger it.", ge=1, le=255)
+    watchdog_sensitivity: StrictInt = _f(1, "Consecutive overruns that trigger the watchdog.", ge=1, le=255)
 
 
 class QosSettings(_Section):
@@ -372,21 +372,21 @@ class QosSettings(_Section):
     preset: Literal["default", "sensor_data", "latched"] | None = _f(
         None,
         "`default`: reliable, volatile, depth 10. `sensor_data`: best effort, volatile, depth 5. "
-        "`latched`: reliable, transient local, depth 1000. Default: that of the direction.",
+        "`latched`: reliable, transient local, depth 1000. Default: depends on the direction.",
     )
     reliability: Literal["reliable", "best_effort"] | None = _f(None, "Whether lost messages are sent again.")
     durability: Literal["volatile", "transient_local"] | None = _f(
         None,
-        "Whether the middleware keeps messages for late subscribers; `to: plc` requests that. "
-        "Default: as `latched` if that is set, else by preset or direction.",
+        "Whether the middleware keeps messages for late subscribers; with `to: plc`, the bridge requests "
+        "this. Default: from `latched` if it is set, else from preset or direction.",
     )
     depth: StrictInt | None = _f(
-        None, "The largest number of waiting messages (in ROS 1: `queue_size`).", ge=1, le=100_000
+        None, "The maximum number of queued messages (in ROS 1: `queue_size`).", ge=1, le=100_000
     )
     deadline_ns: Interval | None = _f(
         None,
-        "`dds` only: the longest time between two messages. `to: plc` requests it, and publishers that do "
-        "not offer it are not received; `to: ros` offers it to subscribers. Missed deadlines are counted.",
+        "`dds` only: the longest time between two messages. `to: plc` ignores publishers that do not "
+        "offer it; `to: ros` offers it to subscribers. Missed deadlines are counted.",
     )
     lease_ns: Annotated[Duration, between("100ms", "1h")] | None = _f(
         None,
@@ -403,21 +403,21 @@ class ClassicSettings(_Section):
 
     name: SharedName | None = _f(
         None,
-        "Name of the shared memory, without a slash. "
-        "Default: the topic's, with dots for inner slashes: `/cmd_vel` is `cmd_vel`.",
+        "Name of the shared memory, without a slash. Default: the topic's name, with dots for inner "
+        "slashes: `cmd_vel` for `/cmd_vel`.",
     )
     semaphore: SharedName | None = _f(
         None,
-        "Name of the semaphore, without `sem.`. Default: that of the memory. "
-        "`none`: nothing guards the memory, as in CODESYS' own sample.",
+        "Name of the semaphore, without `sem.`. Default: the name of the shared memory. `none`: no lock "
+        "protects it, as in CODESYS's own sample.",
     )
     wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
-        "5ms", "How long a side tries to get the lock before it gives up until its next cycle, 100us to 1s."
+        "5ms", "How long a side tries to acquire the lock before giving up until its next cycle, 100us to 1s."
     )
     recover_after_ns: Annotated[Duration, between("20ms", "1h")] = _f(
         "1s",
         "How long the lock must be held without any sign of life before its holder counts as dead and the "
-        "bridge frees it, 20ms to 1h. Set it longer than any pause of a living holder.",
+        "bridge frees it, 20ms to 1h. Set it longer than any pause of a running holder.",
     )
 
 
@@ -430,8 +430,8 @@ class OnStaleSettings(_Section):
     )
     period_ns: Interval | None = _f(
         None,
-        "Required for `to: ros`: how often the message is published while the PLC is silent, as `10Hz` or "
-        "`100ms`.",
+        "Required for `to: ros`: how often the message is published while the PLC is silent, such as "
+        "`10Hz` or `100ms`.",
     )
 
 
@@ -462,15 +462,15 @@ class TopicSettings(_Section):
         QosSettings, BeforeValidator(lambda value: {"preset": value} if isinstance(value, str) else value)
     ] = _f(
         {},
-        "Quality of service, or the name of a preset. Default `to: plc`: reliable, volatile, depth 1000. "
-        "Default `to: ros`: reliable, transient local (latched), depth 1000.",
+        "Quality of service, or the name of a preset. Default for `to: plc`: reliable, volatile, depth "
+        "1000. Default for `to: ros`: reliable, transient local (latched), depth 1000.",
     )
     latched: bool | None = _f(
         None,
-        "Whether a message that is in shared memory before a start is used. `to: plc`: a starting PLC takes "
-        "it as new. `to: ros`: a starting bridge publishes it again. `classic`: the content of the memory at "
-        "the start is a message towards ROS, and a new memory gets the last message towards the PLC. "
-        "Default: whether `qos` asks for transient local.",
+        "Whether a message already in shared memory at startup is used. `to: plc`: a starting PLC takes "
+        "it as new. `to: ros`: a starting bridge publishes it again. With `classic`: towards ROS, the "
+        "content of the memory at startup is a message; towards the PLC, the last message is written to a "
+        "new memory. Default: whether `qos` requests transient local.",
     )
     every: bool | None = _f(
         None,
@@ -479,13 +479,13 @@ class TopicSettings(_Section):
     )
     slots: StrictInt | None = _f(
         None,
-        "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. "
-        "Default: by rate and task; towards ROS, enough for a bridge that pauses for 200 ms.",
+        "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. Default: from "
+        "rate and task; towards ROS, enough for the bridge to pause for 200 ms.",
         ge=4,
         le=65536,
     )
     expected_rate_ns: Interval | None = _f(
-        None, "The highest rate of arriving messages. It only sizes the slots; `rate_limit` limits the rate."
+        None, "The highest rate of arriving messages. It only affects `slots`; `rate_limit` limits the rate."
     )
     rate_limit_ns: Interval | None = _f(
         None,
@@ -508,10 +508,10 @@ class TopicSettings(_Section):
     )
     on_stale: OnStale = _f(
         None,
-        "What replaces messages while the source is silent for longer than `stale_after`. `to: plc`: `hold` "
-        "(default) keeps the last message, `zero` makes every byte zero, `{value: …}` gives the PLC program "
-        "that message. `to: ros`: `stop` (default) publishes nothing, `{value: …, period: …}` publishes that "
-        "message, counted as substituted.",
+        "What replaces messages while the source is silent for longer than `stale_after`. `to: plc`: "
+        "`hold` (default) keeps the last message, `zero` sets every byte to zero, `{value: …}` gives the "
+        "PLC program that message. `to: ros`: `stop` (default) publishes nothing, `{value: …, period: …}` "
+        "publishes that message, counted as substituted.",
     )
     print: bool = _f(False, "Log each message; for debugging.")
     classic: Annotated[
@@ -519,22 +519,22 @@ class TopicSettings(_Section):
         BeforeValidator(lambda value: {True: {}, False: None}[value] if isinstance(value, bool) else value),
     ] = _f(
         None,
-        "`true`, or keys below: carry this topic as existing shared-memory projects do. "
-        "There is only one record, so `slots` and `every` cannot be set.",
+        "`true`, or the keys below: carry this topic as existing shared-memory projects do. There is only "
+        "one record, so `slots` and `every` cannot be set.",
     )
 
     @model_validator(mode="after")
     def _classic_memory_holds_one_record(self) -> TopicSettings:
         if self.classic is not None and (self.slots is not None or self.every):
             word = "every: true" if self.every else "slots"
-            raise ValueError(f"{word} cannot be set with classic, which holds one record; remove one of them")
+            raise ValueError(f"{word} cannot be set with classic, which has one record; remove one of them")
         return self
 
 
 class ClientSettings(_Section):
     """One use of a service or action in the PLC's program."""
 
-    task: TaskName | None = _f(None, "The PLC task that has it. Default: the task of the service or action.")
+    task: TaskName | None = _f(None, "The PLC task that uses it. Default: the task of the service or action.")
 
 
 def _clients(value: Any) -> Any:
@@ -542,7 +542,7 @@ def _clients(value: Any) -> Any:
         return value
     names = [name for name in value if isinstance(name, str)]
     if len(names) < len(value) or len(set(names)) < len(names):
-        raise ValueError("clients must be a list of different names, or name: {task: …}")
+        raise ValueError("clients must be a list of distinct names, or name: {task: …}")
     return {name: {} for name in names}
 
 
@@ -553,20 +553,20 @@ class _CallSettings(_Section):
         dict[ClientName, ClientSettings], Field(max_length=MOST_CLIENTS), BeforeValidator(_clients)
     ] = _f(
         {},
-        "`server: ros`: the places in the PLC program that use it, each with its own block and objects: "
-        "`[pick, place]`, or `{pick: {task: Fast}}`. Default: a single one without a name.",
+        "`server: ros`: the clients in the PLC program, each with its own block and objects: `[pick, "
+        "place]`, or `{pick: {task: Fast}}`. Default: a single client without a name.",
     )
     task: TaskName | None = _f(None, "The PLC task that handles it. Default: the first of `tasks`.")
     limits: dict[str, StrictInt] = _f(
         {},
-        "Capacities by field path (`request.name: 6`, `response.message: 200`; of an action `goal.name: 6`"
-        "); `string` and `sequence` replace the defaults.",
+        "Capacities by field path (`request.name: 6`, `response.message: 200`; for an action `goal.name: "
+        "6`); `string` and `sequence` replace the defaults.",
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse",
-        "What happens to data from ROS that exceeds a limit. `truncate`: it is cut. `refuse`: a request or "
-        "goal is refused; a response makes the PLC's call end as `UNREADABLE`; the PLC's goal ends without "
-        "its result; feedback is dropped.",
+        "What happens to data from ROS that exceeds a limit. `truncate`: it is cut. `refuse`: a request "
+        "or goal is refused; on a response, the PLC's call ends as `UNREADABLE`; the PLC's goal ends "
+        "without a result; feedback is dropped.",
     )
 
 
@@ -579,7 +579,7 @@ class ServiceSettings(_CallSettings):
     )
     per_client: StrictInt | None = _f(
         None,
-        "`server: plc`, over `dds`: the same for each client. Default: a quarter of `depth`. Other "
+        "`server: plc`, over `dds`: the same limit for each client. Default: a quarter of `depth`. Other "
         "backends do not distinguish clients.",
         ge=1,
         le=1000,
@@ -588,7 +588,7 @@ class ServiceSettings(_CallSettings):
         None, "`server: plc`: shortest time between two calls passed to the PLC (`10ms`), or a rate."
     )
     expire_after_ns: Annotated[Duration, between("1ms", "1h")] = _f(
-        "5s", "`server: plc`: a call that has waited for longer is not passed to the PLC, 1ms to 1h."
+        "5s", "`server: plc`: a call that has waited longer than this is not passed to the PLC, 1ms to 1h."
     )
     fallback: dict[str, Any] | None = _f(
         None,
@@ -603,12 +603,12 @@ class ActionSettings(_CallSettings):
     type: ActionTypeName = Field(description="The action type, `package/action/Name`.")
     on_new_goal: Literal["reject", "abort", "buffer"] = _f(
         "reject",
-        "`server: plc`: what happens to a goal that arrives while the PLC has one. `reject`: it is rejected. "
-        "`abort`: the PLC is asked to end its goal (`xPreempt`) and then gets the new one. `buffer`: the new "
-        "goal waits.",
+        "`server: plc`: what happens to a goal that arrives while the PLC has another. `reject`: it is "
+        "rejected. `abort`: the PLC is asked to end its goal (`xPreempt`) and then gets the new one. "
+        "`buffer`: the new goal waits.",
     )
     queue: StrictInt | None = _f(
-        None, "`on_new_goal: buffer`: the most goals that wait, else 4; others are rejected.", ge=1, le=100
+        None, "`on_new_goal: buffer`: queue length, by default 4; further goals are rejected.", ge=1, le=100
     )
     accept_within_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "5s",
@@ -620,26 +620,26 @@ class ActionSettings(_CallSettings):
     )
     when_plc_down: Literal["cancel", "keep"] = _f(
         "cancel",
-        "`server: ros`: what happens to a goal in ROS when the PLC program stops or is silent. `cancel`: "
-        "the server is asked to cancel it. `keep`: it continues.",
+        "`server: ros`: what happens to a goal in ROS when the PLC program stops or goes silent. "
+        "`cancel`: the server is asked to cancel it. `keep`: it continues.",
     )
 
 
 class ParameterSettings(_Section):
     """One parameter of the bridge's node, which is a variable of the PLC."""
 
-    type: Kind = Field(description="Its type, one of `rcl_interfaces/msg/ParameterType`.")
-    value: Any = _f(None, "Its initial value, also in the PLC code. Default: zero, false or empty.")
+    type: Kind = Field(description="The type, one of `rcl_interfaces/msg/ParameterType`.")
+    value: Any = _f(None, "The initial value, also in the PLC code. Default: zero, false or empty.")
     range: Annotated[tuple[StrictInt | float, ...], Field(min_length=2, max_length=3)] | None = _f(
         None, "For an integer or double: `[least, greatest]`, or `[least, greatest, step]`."
     )
     read_only: bool = _f(False, "Whether only the PLC program may change it.")
     description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "A description for people.")
     capacity: StrictInt | None = _f(
-        None, "The most elements of an array. Default: `limits.sequence`.", ge=1, le=1 << 24
+        None, "Maximum number of elements of an array. Default: `limits.sequence`.", ge=1, le=1 << 24
     )
     length: StrictInt | None = _f(
-        None, "Bytes of a string, or of each in a `string_array`. Default: `limits.string`.", ge=1, le=65534
+        None, "Maximum bytes of each string. Default: `limits.string`.", ge=1, le=65534
     )
 
 
@@ -648,10 +648,10 @@ class ParametersSettings(_Section):
 
     initial: Literal["file", "plc"] = _f(
         "file",
-        "Which values apply at a first start. `file`: those of this file, `--params-file` and `-p`; a PLC "
-        "that restarts gets the last values again. `plc`: always those that the PLC starts with.",
+        "Which values apply at the first start. `file`: those of this file, `--params-file` and `-p`; "
+        "after a restart, the PLC gets the last values again. `plc`: always the PLC's initial values.",
     )
-    task: TaskName | None = _f(None, "The PLC task that takes them. Default: the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that uses them. Default: the first of `tasks`.")
     declare: dict[ParameterName, ParameterSettings] = _f(
         {}, "The parameters by name.", max_length=MOST_SERVICES
     )
@@ -675,7 +675,7 @@ class Settings(_Section):
     bridge: Word = _f("rosplc", "The bridge's name, in logs, diagnostics and the node's name.")
     prefix: Word = _f(
         "rosplc",
-        "First part of the objects' names, so that two cells on one machine can both carry `/cmd_vel`.",
+        "Prefix of the objects' names, so that two cells on one machine can both carry `/cmd_vel`.",
     )
     ros: RosSettings = _f({}, "The ROS side.")
     types: TypesSettings = _f({}, "Custom message types.")
@@ -685,7 +685,7 @@ class Settings(_Section):
         "1ms", "How often the bridge polls for messages from the PLC, 50us to 1s."
     )
     beat_ns: Annotated[Duration, between("10ms", "10s")] = _f(
-        "100ms", "Period of the bridge's heartbeat, 10ms to 10s; after three missed beats it counts as gone."
+        "100ms", "Heartbeat period, 10ms to 10s; after three missed beats, the bridge counts as gone."
     )
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
     rosout: RosoutSettings = _f({}, "Logs in ROS.")
@@ -705,7 +705,7 @@ class Settings(_Section):
         {}, "Services by their ROS name.", max_length=MOST_SERVICES
     )
     actions: dict[ActionName, ActionSettings] = _f({}, "Actions by their ROS name.", max_length=MOST_SERVICES)
-    parameters: ParametersSettings = _f({}, "Parameters of the bridge's node: variables of the PLC.")
+    parameters: ParametersSettings = _f({}, "Parameters of the bridge's node, as variables in the PLC.")
     transforms: dict[ClientName, TransformSettings] = _f(
         {}, "Poses of frames for the PLC, by a name of your choice.", max_length=MOST_SERVICES
     )

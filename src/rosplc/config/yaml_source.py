@@ -184,7 +184,7 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
 
 
 def _too_large(name: str) -> ConfigError:
-    what, remedy = f"the file has more than {LARGEST_FILE} bytes", "Check that this is a configuration."
+    what, remedy = f"the file has more than {LARGEST_FILE} bytes", "Check that it is a configuration file."
     return ConfigError("CFG001", what, where=name, remedy=remedy)
 
 
@@ -193,7 +193,7 @@ def read_text(path: Path) -> str:
     try:
         # Opening a pipe waits for its writer; what a shell passes as <(command) has one.
         if path.is_fifo() and not str(path).startswith(("/dev/", "/proc/")):
-            raise ConfigError("CFG001", "is a named pipe, not a file", where=str(path))
+            raise ConfigError("CFG001", "this is a named pipe, not a file", where=str(path))
         with path.open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
     except FileNotFoundError as error:
@@ -237,7 +237,7 @@ class _Builder:
                 self._value(None, line)
         elif isinstance(event, yaml.ScalarEvent):
             if "\0" in event.value:  # which no name, path or text of a message can hold
-                raise self._no_yaml("a string contains a NUL", line)
+                raise self._no_yaml("a string contains a NUL character", line)
             self._tag(event.tag, line)
             if self._expects_key():
                 self._key(event.value, line, event.start_mark.index if event.start_mark else 0)
@@ -248,7 +248,7 @@ class _Builder:
             if self._expects_key():
                 raise self._no_yaml("a key must be plain text", line)
             if len(self._open) >= DEEPEST:
-                raise self._no_yaml(f"more than {DEEPEST} levels", line)
+                raise self._no_yaml(f"the file has more than {DEEPEST} levels", line)
             container: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
             path = self._value(container, line)
             self._open.append(_Container(container, path))
@@ -269,7 +269,7 @@ class _Builder:
             top.skip = True
             code = "CFG006" if top.path == ("topics",) else "CFG010"
             where = f"{self.name}:{line}: {'.'.join(map(str, path))}"
-            what = f"{key!r} is already on line {self.lines[path]}"
+            what = f"{key!r} is already defined on line {self.lines[path]}"
             self._problems.add(ConfigError(code, what, where=where), line)
         else:
             self.lines[path] = line

@@ -62,8 +62,8 @@ def domain_number(domain: int | None, environment: Mapping[str, str], most: int 
     if not text:
         return None
     if not text.isascii() or not text.isdigit() or len(text) > 9 or (most is not None and int(text) > most):
-        to = "up" if most is None else f"to {most}"
-        raise BackendError("ROS010", f"{source} is {text[:80]!r}; use a number from 0 {to}", where=source)
+        to = "or greater" if most is None else f"to {most}"
+        raise BackendError("ROS010", f"{source} is {text[:80]!r}; use an integer, 0 {to}", where=source)
     return int(text)
 
 
@@ -244,7 +244,7 @@ class BaseEndpoint:
     def _checked(self, payload: bytes) -> bytes:
         """Return a message padded to whole words; ROS008 if it has no header of plain CDR."""
         if not is_cdr(payload):
-            raise self._refusal("it has no header of plain CDR")
+            raise self._refusal("it has no plain CDR header")
         return bytes(payload) + _PADDING[-len(payload) & 3]
 
     def _refusal(self, why: str) -> BackendError:
@@ -690,6 +690,6 @@ class BaseNode(Opener):
 def check_ros(name: str, store: TypeStore, *, ros1: bool = False) -> None:
     """Refuse (ROS001) types of the other ROS."""
     if (store.distro == "noetic") is not ros1:
-        its, theirs, to = ("ROS 1", "ROS 2", " to noetic") if ros1 else ("ROS 2", "ROS 1", "")
+        its, theirs, to = ("ROS 1", "ROS 2", "noetic") if ros1 else ("ROS 2", "ROS 1", "a ROS 2 distribution")
         what = f"the {name} backend is for {its}; {store.distro or 'this type store'} is {theirs}"
-        raise BackendError("ROS001", what, remedy=f"Set ros.distro{to}.")
+        raise BackendError("ROS001", what, remedy=f"Set ros.distro to {to}.")

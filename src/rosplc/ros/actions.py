@@ -198,7 +198,7 @@ class ActionServer(_Action):
             if goal is not None and not goal.status.ended:
                 goal.waiting.append(caller)
                 if len(goal.waiting) > MOST_WAITING:
-                    self._get.refuse(goal.waiting.pop(0), "too many clients wait for this result")
+                    self._get.refuse(goal.waiting.pop(0), "too many clients are waiting for this result")
                 return
             status, result = (GoalStatus.UNKNOWN, None) if goal is None else (goal.status, goal.result)
             self._answer(self._get, caller, self._messages.pack_result(status, result))

@@ -61,7 +61,7 @@ class RosArguments:
                 text = _value(argument, rest)
                 logger, _, word = text.rpartition(":=")
                 if word.lower() not in _LEVELS:
-                    raise _refuse(f"--log-level {text}", f"the levels are {', '.join(_LEVELS)}")
+                    raise _refuse(f"--log-level {text}", f"unknown level; use {', '.join(_LEVELS)}")
                 others += [argument, text]
                 level = level if logger else word.lower()
             elif argument in _FLAGS:
@@ -109,14 +109,14 @@ def _refuse(argument: str, why: str) -> ConfigError:
 def _value(argument: str, rest: Iterator[str]) -> str:
     value = next(rest, "")
     if not value:
-        raise _refuse(argument, "its value is missing")
+        raise _refuse(argument, "the value is missing")
     return value
 
 
 def _halves(argument: str) -> tuple[str, str]:
     source, arrow, target = argument.partition(":=")
     if not arrow or not source or not target:
-        raise _refuse(argument, "a rule is of the form from:=to")
+        raise _refuse(argument, "a rule has the form from:=to")
     return source, target
 
 
@@ -127,7 +127,7 @@ def _rule(text: str) -> tuple[str, str, str]:
     if ":" in source:
         node, _, source = source.partition(":")
         if not _NODE.match(node):
-            raise _refuse(text, f"{node!r} is not a node's name")
+            raise _refuse(text, f"{node!r} is not a valid node name")
     try:
         if source in ("__node", "__name"):
             return node, "__node", validate_node_name(target)
@@ -146,7 +146,7 @@ def _parameter(text: str) -> str:
     name, _ = _halves(text)
     node, _, own = name.rpartition(":")
     if not _PARAMETER.match(own) or (node and not _PARAMETER.match(node)):
-        raise _refuse(f"-p {text}", "a parameter is of the form name:=value or node:name:=value")
+        raise _refuse(f"-p {text}", "a parameter has the form name:=value or node:name:=value")
     return text
 
 

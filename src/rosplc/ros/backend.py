@@ -62,7 +62,7 @@ class Qos:
         for name in ("deadline_ns", "lease_ns", "lifespan_ns"):
             time = getattr(self, name)
             if not isinstance(time, int) or isinstance(time, bool) or not 0 <= time < 2**63 - 1:
-                raise BackendError("ROS007", f"{name} is {time!r}; it must be in nanoseconds, 0 for none")
+                raise BackendError("ROS007", f"{name} is {time!r}; it must be an integer (ns), 0 for none")
 
     @property
     def promises(self) -> bool:
@@ -96,16 +96,16 @@ def incompatibility(offered: Qos, requested: Qos) -> str | None:
     """Return in words why an offered and a requested Qos do not match, else None (DDS 1.4, 2.2.3)."""
     problems = []
     if offered.reliability == "best_effort" and requested.reliability == "reliable":
-        problems.append("the publisher is best_effort, the subscriber wants reliable")
+        problems.append("the publisher is best_effort, but the subscriber requests reliable")
     if offered.durability == "volatile" and requested.durability == "transient_local":
-        problems.append("the publisher is volatile, the subscriber wants transient_local")
+        problems.append("the publisher is volatile, but the subscriber requests transient_local")
     for what, offer, wish in (
         ("deadline", offered.deadline_ns, requested.deadline_ns),
         ("liveliness lease", offered.lease_ns, requested.lease_ns),
     ):
         if wish and not 0 < offer <= wish:
-            has = f"one of {offer / 1e6:g} ms" if offer else "none"
-            problems.append(f"the publisher offers {has}, the subscriber wants a {what} of {wish / 1e6:g} ms")
+            has = f"a {what} of {offer / 1e6:g} ms" if offer else f"no {what}"
+            problems.append(f"the publisher offers {has}, but the subscriber requests {wish / 1e6:g} ms")
     return "; ".join(problems) or None
 
 

@@ -126,6 +126,6 @@ def _candidates(
         return ("rclpy",), why, unfit | {"dds": f"may not be compatible with {rmw}"}
     why = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "ROS 2 uses DDS unless RMW_IMPLEMENTATION is set"
     if services:
-        why += "; rclpy is preferred, as over dds only nodes on rmw_cyclonedds exchange service calls"
+        why += "; rclpy is preferred, as dds exchanges service calls only with rmw_cyclonedds"
         return ("rclpy", "dds"), why, unfit
     return ("dds", "rclpy"), why, unfit

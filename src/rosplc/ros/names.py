@@ -22,7 +22,7 @@ def _refuse(kind: str, name: object, why: str) -> BackendError:
 
 def _check(kind: str, name: str) -> None:
     if not isinstance(name, str) or not name.startswith("/"):
-        raise _refuse(kind, name, "a full name starts with /")
+        raise _refuse(kind, name, "a full name must start with /")
     if len(name) > LONGEST_NAME:
         raise _refuse(kind, name, f"it has {len(name)} characters; the limit is {LONGEST_NAME}")
     for token in name[1:].split("/"):

@@ -106,11 +106,11 @@ def test_values_and_refusals(cell: Cell) -> None:
         ("max_speed", 9.0, "max_speed must be within 0.0 … 2.0"),
         ("count", "many", "'many' is not of type integer"),
         ("serial", "B", "it is read-only"),
-        ("arm/gains", "[1, 2, 3, 4]", "arm.gains has room for 3 elements, not for 4"),
+        ("arm/gains", "[1, 2, 3, 4]", "arm.gains can have 3 elements, not 4"),
     ):
         cell.set(name, value)
         cell.until_values(INITIAL | NEW)
-        cell.until_said(f"{PLACE}/{name} is set back to", why)
+        cell.until_said(f"{PLACE}/{name} is reset to", why)
     cell.set("arm", 5)  # the whole group is gone, and comes again
     cell.until_values(INITIAL | NEW)
     cell.run("rosparam", "delete", f"{PLACE}/count")
@@ -135,7 +135,7 @@ def test_no_plc_and_another_master(cell: Cell) -> None:
     cell.joint.scan = lambda *_, **__: None  # type: ignore[method-assign]
     cell.set("count", 5)
     cell.until_values(INITIAL)
-    cell.until_said(f"{PLACE}/count is set back to 3 on the parameter server: PLC is not running")
+    cell.until_said(f"{PLACE}/count is reset to 3 on the parameter server: PLC is not running")
     del cell.joint.scan  # type: ignore[attr-defined]
     cell.joint.machine.start()
     cell.ros1.kill_master()
@@ -215,11 +215,11 @@ def test_the_time_of_clock_and_both_logs(ros1: Graph) -> None:
 
         cell.until_said("door open", "/rosplc_params.plc")
         cell.set("count", "many")
-        cell.until_said(f"{PLACE}/count is set back to 3", "/rosplc_params")
+        cell.until_said(f"{PLACE}/count is reset to 3", "/rosplc_params")
         levels = {
             text: data[struct.calcsize("<III") + int.from_bytes(data[12:16], "little") + 4]
             for data in cell.log.payloads()
-            for text in ("door open", "is set back")
+            for text in ("door open", "is reset")
             if text.encode() in data
         }
-        assert levels == {"door open": 4, "is set back": 4}  # rosgraph_msgs/Log.WARN
+        assert levels == {"door open": 4, "is reset": 4}  # rosgraph_msgs/Log.WARN

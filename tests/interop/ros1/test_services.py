@@ -260,7 +260,7 @@ def test_a_service_that_another_node_takes(ros1: Graph, cell: Backend) -> None:
     peer = ros1.peer("rospy", "peer")
     peer.serve("/start", SET_BOOL)
     wait_for(lambda: requests.server.status().code == "ROS022")
-    assert "node /peer has taken the service /start" in requests.server.status().reason
+    assert "node /peer has taken over /start" in requests.server.status().reason
     peer.unserve("/start")
     wait_for(lambda: "/start" in ros1.run("rosservice", "list").split())
     assert ros1.run("rosservice", "node", "/start").strip() == "/cell"

@@ -77,7 +77,7 @@ def test_durations(text: str, ns: int) -> None:
 )
 def test_durations_refused(value: object) -> None:
     """Everything else is refused with an example or the units."""
-    with pytest.raises(ValueError, match=r"such as|units are|not between"):
+    with pytest.raises(ValueError, match=r"such as|unknown unit|not between"):
         parse_duration(value)
 
 
@@ -100,7 +100,7 @@ def test_rates(text: str, ns: int) -> None:
 @pytest.mark.parametrize("value", ["", "50", 50, "0Hz", "2MHz", "2000kHz", "0.000000001mHz", "5hz", "-5Hz"])
 def test_rates_refused(value: object) -> None:
     """Everything else is refused."""
-    with pytest.raises(ValueError, match=r"such as|units are|not between"):
+    with pytest.raises(ValueError, match=r"such as|unknown unit|not between"):
         parse_rate(value)
 
 

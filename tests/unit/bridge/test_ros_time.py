@@ -120,5 +120,5 @@ def test_the_topic_is_the_bridges_own(cell: Cell) -> None:
     cell.plc(TOPIC)
     assert wait_for(lambda: newest(cell))
     cell.stop()
-    with pytest.raises(ConfigErrors, match="the bridge itself has /ros_time"):
+    with pytest.raises(ConfigErrors, match="the bridge itself already carries /ros_time"):
         cell.make(f"  {TOPIC}: {{type: {INT}, to: plc}}\n", more=TIME)

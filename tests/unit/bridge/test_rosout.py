@@ -227,7 +227,7 @@ def test_the_topic_is_carried_once(cell: Cell) -> None:
     """A topic /rosout of the file and the PLC's log exclude each other."""
     topics = f"  /rosout: {{type: {TYPE}, to: plc}}\n"
     cell.make(topics)
-    with pytest.raises(ConfigErrors, match="the bridge itself has /rosout"):
+    with pytest.raises(ConfigErrors, match="the bridge itself already carries /rosout"):
         cell.make(topics, more="rosout: {plc: true}")
 
 

@@ -384,11 +384,11 @@ def test_a_bridge_of_ros_1(shm_namespace: Namespace) -> None:
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("{target: a, source: /b}", "no / first"),
+        ("{target: a, source: /b}", "no leading /"),
         ("{target: a}", "'source' is missing"),
         ("{target: a b, source: c}", "should be a frame"),
         ("{target: a, source: b, rate: 2kHz}", "not between 1ms and 1h"),
-        ("{target: a, source: b, task: Slow}", "there is no task 'Slow'"),
+        ("{target: a, source: b, task: Slow}", "task 'Slow' is not defined"),
     ],
 )
 def test_what_an_entry_cannot_be(entry: str, words: str) -> None:

@@ -65,14 +65,14 @@ def test_what_stood_there_before_counts_where_it_is_asked_for() -> None:
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("to: plc, classic: true, slots: 8", "holds one record"),
+        ("to: plc, classic: true, slots: 8", "has one record"),
         ("to: plc, classic: true, every: true", "every: true cannot be set with classic"),
         ("to: plc, classic: {name: a/b}", "without a slash"),
-        ("to: plc, classic: {name: sem.a}", "not sem."),
-        ("to: plc, classic: {name: rosplc.t.a}", "as this bridge's own objects do"),
+        ("to: plc, classic: {name: sem.a}", "or sem."),
+        ("to: plc, classic: {name: rosplc.t.a}", "reserved for this bridge's objects"),
         ("to: plc, classic: {wait: 2s}", "is not between 100us and 1s"),
         ("to: plc, classic: {recover_after: 1ms}", "is not between 20ms and 1h"),
-        ("to: plc, classic: {lock: x}", "'lock' is not a key here"),
+        ("to: plc, classic: {lock: x}", "'lock' is not a valid key here"),
     ],
 )
 def test_what_does_not_go_together_is_named(entry: str, words: str) -> None:
@@ -87,7 +87,7 @@ def test_a_name_that_a_plc_cannot_hold_is_refused() -> None:
 
 def test_another_directory_is_refused() -> None:
     """Semaphores are in /dev/shm and nowhere else, so a classic topic does too."""
-    assert "are in /dev/shm" in wrong("to: plc, classic: true", more="shm: {directory: /tmp}")
+    assert "must be in /dev/shm" in wrong("to: plc, classic: true", more="shm: {directory: /tmp}")
 
 
 def test_two_topics_in_one_memory_are_refused() -> None:
@@ -97,5 +97,5 @@ topics:
   /a: {type: geometry_msgs/msg/Twist, to: plc, classic: {name: io}}
   /b: {type: geometry_msgs/msg/Twist, to: ros, classic: {name: io}}
 """
-    with pytest.raises(ConfigErrors, match="both become io"):
+    with pytest.raises(ConfigErrors, match="both get the object name io"):
         resolve(parse_config(text))

@@ -185,7 +185,7 @@ def test_without_a_choice_the_topics_are_listed(memory: tuple[str, ...], here: P
     [
         (["--all"], 1, "ROS020"),
         (["--all", "--backend", "nonsense"], 2, "'nonsense' is not a backend"),
-        (["--all", "--distro", "nonsense"], 2, "is not bundled"),
+        (["--all", "--distro", "nonsense"], 2, "is not a bundled distribution"),
         (["--all", "--listen", "soon"], 2, "should be a number with a unit"),
         (["--topics", "/a=b"], 2, "is not a type name"),
         (["--bag", "missing.bag", "--all"], 1, "ROS006"),

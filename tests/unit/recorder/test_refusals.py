@@ -52,12 +52,12 @@ def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path: Path) -> 
     for pipe in pipes:
         os.mkfifo(pipe)
     for path in (*pipes[:3], folder, Path("/dev/null")):
-        with pytest.raises(RecordingError, match="not a plain file") as caught:
+        with pytest.raises(RecordingError, match="not a regular file") as caught:
             open_source(path)
         assert caught.value.code == "REC003" and "--repair" not in caught.value.remedy
         with pytest.raises(RosplcError, match="ROS006"):
             Bag(path)
-    for path, says in ((pipes[0], "not a plain file"), (folder, "a folder")):
+    for path, says in ((pipes[0], "not a regular file"), (folder, "a folder")):
         with pytest.raises(RecordingError, match=says):
             repair(path, tmp_path / "b.mcap")
 

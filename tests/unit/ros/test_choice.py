@@ -61,7 +61,7 @@ def test_services_prefer_rclpy() -> None:
     assert choose("jazzy", {}, services=True, missing=EVERYTHING).name == "rclpy"
     choice = choose("jazzy", {}, services=True, missing=only("dds", "zenoh"))
     assert choice.name == "dds"
-    assert "only nodes on rmw_cyclonedds" in choice.why
+    assert "only with rmw_cyclonedds" in choice.why
     assert "not installed" in choice.passed_over["rclpy"]
     assert choose("jazzy", ZENOH, services=True, missing=EVERYTHING).name == "zenoh"
 

@@ -27,15 +27,15 @@ XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
     [
         (
             [Policy.DataRepresentation(use_xcdrv2_representation=True)],
-            "another data representation than XCDR version 1",
+            "it does not use XCDR version 1",
         ),
         ([XCDR1, Policy.Ownership.Exclusive], "it has exclusive ownership"),
         (
             [XCDR1, Policy.Durability.Transient, Policy.Reliability.Reliable(0)],
             "transient or persistent durability",
         ),
-        ([XCDR1, Policy.Deadline(20_000_000)], "offers none, the subscriber wants a deadline of 20 ms"),
-        ([XCDR1, Policy.Liveliness.ManualByTopic(2**63 - 1)], "it wants manual liveliness"),
+        ([XCDR1, Policy.Deadline(20_000_000)], "offers no deadline, but the subscriber requests 20 ms"),
+        ([XCDR1, Policy.Liveliness.ManualByTopic(2**63 - 1)], "it requests manual liveliness"),
         ([XCDR1, Policy.Liveliness.Automatic(50_000_000)], "wants a liveliness lease of 50 ms"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",

@@ -183,7 +183,7 @@ def test_a_set_that_fails_and_one_that_follows(cell: Cell, caplog: pytest.LogCap
     cell.look()
     cell.end("PLC is not running")
     assert cell.look()["count"] == 3
-    assert "/cell/count is set back to 3 on the parameter server: PLC is not running" in caplog.text
+    assert "/cell/count is reset to 3 on the parameter server: PLC is not running" in caplog.text
     cell.master.put("/cell/count", 5)
     assert cell.look()["count"] == 5
     cell.master.put("/cell/count", 3)

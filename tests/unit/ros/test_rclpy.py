@@ -437,7 +437,7 @@ def test_misfit_is_logged_once_with_its_reason(machine: Machine, caplog: pytest.
     subscription = machine.node("listener").subscribe("/chatter", STRING, Qos(), lambda *_: None)
     words = (
         f"node /talker publishes /chatter as {STRING}, but the publisher is best_effort, "
-        "the subscriber wants reliable"
+        "but the subscriber requests reliable"
     )
     wait_for(lambda: words in caplog.text)
     assert caplog.text.count(words) == 1
@@ -447,9 +447,9 @@ def test_misfit_is_logged_once_with_its_reason(machine: Machine, caplog: pytest.
 @pytest.mark.parametrize(
     ("wish", "words"),
     [
-        ({"deadline": 1_000_000}, "the subscriber wants a deadline of 1 ms"),
-        ({"liveliness_lease_duration": 2_000_000}, "the subscriber wants a liveliness lease of 2 ms"),
-        ({"liveliness": 3}, "the subscriber wants manual liveliness"),
+        ({"deadline": 1_000_000}, "offers no deadline, but the subscriber requests 1 ms"),
+        ({"liveliness_lease_duration": 2_000_000}, "no liveliness lease, but the subscriber requests 2 ms"),
+        ({"liveliness": 3}, "the subscriber requests manual liveliness"),
         ({}, ""),
     ],
 )
@@ -498,8 +498,8 @@ def test_match_that_nothing_explains_is_told_after_a_while(
     assert publisher.status().reason.endswith("not matched yet")
     monkeypatch.setattr(backend.RclpyBackend, "_settling", lambda *_: False)
     assert publisher.status().code == "ROS003"
-    words = f"node /listener subscribes to /chatter as {STRING} with another definition, or kept out"
-    assert publisher.status().reason == f"{words} by access rules"
+    words = f"node /listener subscribes to /chatter as {STRING} with another definition, or access rules"
+    assert publisher.status().reason == f"{words} prevent the connection"
 
 
 def test_participant_without_a_node_is_called_so(machine: Machine) -> None:

@@ -111,7 +111,7 @@ def test_one_topic_has_one_type_in_a_node() -> None:
     node = open_backend("rospy", NOETIC, "cell", environment=nowhere())
     try:
         node.advertise("/a", STRING, Qos())
-        with pytest.raises(RosplcError, match=r"already has /a as std_msgs/msg/String.*ROS002"):
+        with pytest.raises(RosplcError, match=r"already uses /a as std_msgs/msg/String.*ROS002"):
             node.advertise("/a", "std_msgs/msg/Int32", Qos())
         node.subscribe("/a", "std_msgs/msg/Int32", Qos(), lambda *_: None)
         assert len(node.status()) == 2

@@ -152,7 +152,7 @@ def check_peers(environment: Mapping[str, str], distro: str) -> None:
             why = "it must be HOST or HOST:PORT"
         except (OSError, UnicodeError) as error:
             why = getattr(error, "strerror", None) or str(error)
-        what = f"ROS_STATIC_PEERS has {peer!r}: {why}"
+        what = f"ROS_STATIC_PEERS contains {peer!r}: {why}"
         raise BackendError("ROS010", what, where="ROS_STATIC_PEERS")
 
 
@@ -210,14 +210,14 @@ def enter(number: int, config: str) -> None:
         if (entry := _domains.get(number)) is not None:
             entry.users += 1
             if entry.config != config:
-                text = "domain %d is in use with another configuration, which stays in force"
+                text = "domain %d is already open with another configuration, which remains in effect"
                 _logger.warning(text, number)
             return
         try:
             _domains[number] = _Entry(Domain(number, config), config)
         except DDSException as error:
             if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
-                text = "domain %d was opened by other code in this process; its configuration stays"
+                text = "domain %d was opened by other code in this process; that configuration applies"
                 _logger.warning(text, number)
                 return
             remedy = "Check CYCLONEDDS_URI and the network interfaces; the library's message is on stderr."
@@ -240,7 +240,7 @@ _TICK_NS = 500_000_000  # how often the receive thread looks at what has no even
 _SHORT_NS = 10_000_000  # the same while a response waits for its reader
 _DECOYS = "rosplc_nothing"  # the partition of the writers that nothing matches (service.py)
 _PARTICIPANTS, _ANNOUNCEMENTS, _FIRST = 2, 3, 4  # keys in the waitset; 0 and 1 are endpoints of peers
-_FOREIGN = "over another DDS than Cyclone's, whose service calls are incompatible"
+_FOREIGN = "over a DDS other than Cyclone DDS, whose service calls are incompatible"
 
 
 def dds_qos(qos: Qos, type_hash: str, service_id: str = "") -> DdsQos:

@@ -42,13 +42,13 @@ def obstacle() -> str:
     """Return why batches are not used in this process; empty if they are. The first call tries them out."""
     found, why = version("cyclonedds"), ""
     if found != RELEASE:
-        why = f"batches in C require cyclonedds {RELEASE}; this is {found}"
+        why = f"batches in C require cyclonedds {RELEASE}, not {found}"
     if not why:
         try:
             _batch.load(native.library._name)
             why = _trial()
         except (OSError, DDSException, BackendError) as error:
-            why = f"the trial of batches in C failed: {error}"
+            why = f"the self-test of batches in C failed: {error}"
     if not why:
         _logger.info("messages are passed in batches in C, tested with cyclonedds %s", found)
         return ""
@@ -80,4 +80,4 @@ def _trial() -> str:
         for entity in reversed(entities):
             native.delete(entity)
     right = sent and came == ([], [(0, _SAMPLE, _STAMP)]) and sender.messages == 1
-    return "" if right else "in the trial of batches in C a message did not come back as it was sent"
+    return "" if right else "in the self-test of batches in C, a message was not received as it was sent"

@@ -238,16 +238,16 @@ def _obstacles(pointer: int, writer: bool) -> Iterator[str]:
     representations = _items(*_representation(pointer))
     # A writer uses the first that it names; a reader takes any that it names.
     if representations and _XCDR1 not in (representations[:1] if writer else representations):
-        yield "it uses another data representation than XCDR version 1, which ROS uses"
+        yield "it does not use XCDR version 1, the data representation of ROS"
     partitions = _partitions(pointer)
     if partitions and "" not in partitions and "*" not in partitions:
         yield f"it is in the DDS partition {', '.join(partitions)}"
     if _ownership(pointer)[0] == _EXCLUSIVE:
         yield "it has exclusive ownership"
     if not writer and _durability(pointer)[0] > _TRANSIENT_LOCAL:
-        yield "it wants transient or persistent durability, which ROS does not have"
+        yield "it requests transient or persistent durability, which ROS does not support"
     if not writer and _liveliness(pointer)[0] != _AUTOMATIC:
-        yield "it wants manual liveliness"
+        yield "it requests manual liveliness"
 
 
 _logger = logging.getLogger("rosplc.ros.dds")

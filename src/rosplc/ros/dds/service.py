@@ -47,7 +47,7 @@ def with_header(payload: bytes, client: int, number: int) -> bytes:
 def split_header(data: bytes) -> tuple[bytes, int, int]:
     """Return payload, client and number; ValueError if there is no header."""
     if len(data) < _ENCAPSULATION + _HEADER or not _base.is_cdr(data):
-        raise ValueError("it is too short for the header of a call")
+        raise ValueError("it is too short for a call header")
     client, number = struct.unpack_from(_ORDER[data[1]], data, _ENCAPSULATION)
     return data[:_ENCAPSULATION] + data[_ENCAPSULATION + _HEADER :], client, number
 
@@ -117,7 +117,7 @@ class _Service(Endpoint):
     def _sender(self, info: Any, *, replying: bool = False) -> Peer:
         peer: Peer | None = self._node.writer(self._received_topic, info.publication_handle)
         if peer is None or not self.understands(peer, replying=replying):
-            raise ValueError("its sender uses another protocol or definition, or is not known")
+            raise ValueError("its sender is unknown, or uses another protocol or definition")
         return peer
 
 

@@ -139,7 +139,7 @@ class OwnNode:
             self._clock.sleep(100_000_000)
         if self.context.ok() or self._stopping:
             return True
-        _logger.error("the ROS context was shut down by other code; nothing is carried any more")
+        _logger.error("the ROS context was shut down by other code; this node no longer carries messages")
         self._on_lost()
         return False
 
@@ -329,10 +329,10 @@ class RclpyBackend(BaseNode):
         found = [_base.describe(peer, _name(peer)) for peer in peers]
         if self._settling(endpoint):
             return [("", f"{_base.listed(found)}, not matched yet")]
-        why = "with another definition, or kept out by access rules"
+        why = "another definition, or access rules prevent the connection"
         if short == len(peers):
-            return [("ROS003", f"{each} {why}") for each in found]
-        return [("ROS003", f"{short} of {len(peers)} peers {why}: {_base.listed(found)}")]
+            return [("ROS003", f"{each} with {why}") for each in found]
+        return [("ROS003", f"{short} of {len(peers)} peers have {why}: {_base.listed(found)}")]
 
     def _look(self, endpoint: RclpyEndpoint) -> None:
         """Log once what the middleware's event is about; on the executor's thread."""

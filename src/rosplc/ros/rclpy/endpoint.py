@@ -96,7 +96,7 @@ def _hash(info: Any) -> str:
 def _obstacles(requested: Any) -> tuple[str, ...]:
     # rclpy's own qos_check_compatible takes unspecified durations for shorter ones than infinite.
     manual = requested.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
-    return ("the subscriber wants manual liveliness",) if manual else ()
+    return ("the subscriber requests manual liveliness",) if manual else ()
 
 
 try:
@@ -202,7 +202,7 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
         if is_cdr(payload):
             super()._deliver(payload, stamp_ns)
         else:
-            self.reject("it has no header of plain CDR")
+            self.reject("it has no plain CDR header")
 
 
 class RclpyPublisher(BasePublisher, RclpyEndpointBase):
@@ -395,7 +395,7 @@ def message_class(type_name: str) -> Any:
             "ROS011",
             f"the Python package {package} of {type_name} cannot be imported: {error}",
             remedy=f"Install ros-DISTRO-{package.replace('_', '-')}, or build it with colcon, and source its "
-            "setup.bash before the bridge starts.",
+            "setup.bash before starting the bridge.",
         ) from error
     base, *parts = [name] if kind == "msg" else name.split("_")
     if not hasattr(module, base):

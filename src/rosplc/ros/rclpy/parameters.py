@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 
 from rosplc._version import __version__
 
-_WORDS = "shown only; set by rosplc"
+_WORDS = "read-only; set by rosplc"
 
 
 class Shown:

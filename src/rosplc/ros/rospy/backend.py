@@ -118,11 +118,11 @@ class Registration:
         for key in lacks:
             del self._registered[key]
         if self.trouble:
-            _logger.info("the ROS master at %s answers; node %s registers", uri, node)
+            _logger.info("the ROS master at %s answers; registering node %s", uri, node)
             self.trouble = ""
         elif lacks:
-            what = f"the ROS master at {uri} had lost {len(lacks)} topics or services of node {node}"
-            _logger.warning("%s (it was restarted, or they were removed); they are registered again", what)
+            what = f"the ROS master at {uri} lost {len(lacks)} topics or services of node {node}"
+            _logger.warning("%s (it was restarted, or they were removed); registering them again", what)
         for key, topic in wanted.items():
             if isinstance(topic, Outgoing):
                 named = self._known("in", topic.topic)
@@ -152,7 +152,7 @@ class Registration:
         try:
             method(self._master)
         except RefusedError as error:
-            _logger.warning("the ROS master refuses %s: %s", key, error)
+            _logger.warning("the ROS master refused %s: %s", key, error)
 
     def _lost(self, why: str) -> None:
         text = f"the ROS master at {self._master.uri} does not answer ({why})"
@@ -207,7 +207,7 @@ class RospyBackend(BaseNode):
                 key = ("serve", endpoint.topic)
                 if kind is RospyServer and self._topics.setdefault(key, endpoint) is not endpoint:
                     what = f"{self.node} already serves {endpoint.topic}"
-                    raise BackendError("ROS002", what, remedy="In ROS 1, a service has only one server.")
+                    raise BackendError("ROS002", what, remedy="ROS 1 allows only one server per service.")
             else:
                 shared = self._shared(Incoming if kind is RospySubscription else Outgoing, topic, type_name)
                 endpoint = kind(*receiver, shared, qos)
@@ -223,8 +223,8 @@ class RospyBackend(BaseNode):
             definition = Definition(name, self._store.md5(name), self._store.definition_text(name))
             known = self._topics[kind.direction, full] = kind(self, full, definition)
         elif known.definition.type_name != name:
-            what = f"{self.node} already has {full} as {known.definition.type_name}, not {name}"
-            raise BackendError("ROS002", what, remedy="In ROS 1, a node has only one type for each topic.")
+            what = f"{self.node} already uses {full} as {known.definition.type_name}, not {name}"
+            raise BackendError("ROS002", what, remedy="ROS 1 allows only one type per topic in a node.")
         return known
 
     def service_md5(self, type_name: str) -> str:
@@ -302,7 +302,7 @@ class RospyBackend(BaseNode):
     def told_to_leave(self, caller: str, why: str) -> None:
         """Leave, as ROS 1 asks of a node whose name another one has taken, and of one that is killed."""
         if "same name" in why:
-            self._end(f"another node named {self.node} has joined, and ROS 1 keeps the newer one")
+            self._end(f"another node named {self.node} has started, and ROS 1 keeps the newer one")
         else:
             self._end(f"{caller or 'a node'} told node {self.node} to shut down ({why or 'no reason given'})")
 
@@ -348,7 +348,7 @@ class RospyBackend(BaseNode):
         else:
             met = True  # callers come and go
             others = self.servers(endpoint.topic) - {self.node}
-            found = [("ROS022", f"node {other} has taken the service {endpoint.topic}") for other in others]
+            found = [("ROS022", f"node {other} has taken over {endpoint.topic}") for other in others]
         if trouble := self._registration.trouble:
             found.append(("ROS014", trouble))
         return met, found
@@ -359,9 +359,9 @@ class RospyBackend(BaseNode):
         named = self._registration.state.subscribers.get(topic, frozenset())
         absent = named - outgoing.subscribers() - set(outgoing.strangers)
         for node in sorted(absent):
-            text = f"node {node} subscribes to {topic}, not connected yet"
+            text = f"node {node} subscribes to {topic}, but is not connected"
             if not self._settling((topic, node), _SETTLE_NS):
-                text += f"; it may not be able to reach {self.uri}: set ROS_IP or ROS_HOSTNAME"
+                text += f"; it may be unable to reach {self.uri}: set ROS_IP or ROS_HOSTNAME"
             found.append(("", text))
         # A copy, in one step: several threads may ask at once.
         for key in [key for key in tuple(self._since) if key[0] == topic and key[1] not in absent]:  # type: ignore[index]

@@ -80,7 +80,7 @@ def read_header(sock: socket.socket, timeout_s: float, clock: Clock = SYSTEM) ->
         end = at + 4 + int.from_bytes(body[at : at + 4], "little")
         name, equals, value = body[at + 4 : end].partition(b"=")
         if end > length or not equals:
-            raise HandshakeError("its connection header cannot be read: a field is cut off or has no =")
+            raise HandshakeError("its connection header cannot be read: a field is truncated or has no =")
         try:
             fields[name.decode()] = value.decode()
         except UnicodeDecodeError as error:

@@ -113,17 +113,17 @@ class MasterParameters:
             if value == self.values[each.name] and each.name not in self._asked:
                 continue
             if preset is not None and each.name not in preset:
-                self._refused(each.name, "the command line says so")
+                self._refused(each.name, "the command line sets it")
             elif each.read_only and preset is None:
                 self._refused(each.name, "it is read-only")
             elif preset is None and not self._ours:
-                self._refused(each.name, "that is what the PLC had when the bridge began")
+                self._refused(each.name, "this is the PLC's value from when the bridge started")
             else:
                 wanted[each.name] = value
         return wanted
 
     def _refused(self, name: str, why: str) -> None:
-        text = "%s is set back to %s on the parameter server: %s"
+        text = "%s is reset to %s on the parameter server: %s"
         _logger.warning(text, self._path(name), self.values[name], why)
 
     def _ask(self, wanted: Mapping[str, Any]) -> None:

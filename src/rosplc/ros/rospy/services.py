@@ -67,9 +67,9 @@ class _Caller:
             while self._serve() and self._persistent:
                 pass
         except (OSError, HandshakeError) as error:
-            server.log.debug("%s: the connection of a caller ended: %s", server.topic, error)
+            server.log.debug("%s: a caller's connection ended: %s", server.topic, error)
         except Exception:
-            server.log.exception("%s: error in the connection of a caller", server.topic)
+            server.log.exception("%s: error in a caller's connection", server.topic)
         with self._lock:
             self.key = b""
             self.sock.close()
@@ -127,7 +127,7 @@ class RospyServer(_Service, KeepingServer):
         """Serve a caller that has connected; return why not, or an empty text."""
         node, md5 = header["callerid"][:256], header["md5sum"][:64]
         if md5 not in (ANY, self._md5):
-            self.reject(f"node {node} calls it with md5sum {md5}, it is {self._md5} here")
+            self.reject(f"node {node} calls it with md5sum {md5}, but it is {self._md5} here")
             return f"service {self.topic} is {self.type_name} with md5sum {self._md5} here, not {md5}"
         fields = {"callerid": self._node.node, "service": self.topic, "md5sum": self._md5}
         for name, end in (("type", ""), ("request_type", "Request"), ("response_type", "Response")):
@@ -141,7 +141,7 @@ class RospyServer(_Service, KeepingServer):
             if self.closed:
                 return f"service {self.topic} is no longer provided"
             if sum(one.matched for one in self._node.having("serve").values()) >= MOST_CALLERS:
-                return f"{MOST_CALLERS} callers are connected already"
+                return f"{MOST_CALLERS} callers are already connected"
             self.connections.add(caller)
         try:
             threading.Thread(target=caller.run, name="rosplc-caller", daemon=True).start()
@@ -301,7 +301,7 @@ class RospyClient(_Service, BaseClient):
         try:
             reply = self._exchange(link, payload)
         except Exception as error:
-            self._node.logger.exception("%s: a call had an error", self.topic)
+            self._node.logger.exception("%s: a call failed", self.topic)
             reply = Reply(text=str(error))
         with self._lock:
             self._links.pop(number, None)

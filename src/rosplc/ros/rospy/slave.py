@@ -58,7 +58,7 @@ class _Api:
 
     def publisherUpdate(self, caller_id: object, topic: object, publishers: object) -> tuple[int, str, int]:
         if not isinstance(topic, str) or not isinstance(publishers, list):
-            return -1, "a topic's name and a list of URIs are expected", 0
+            return -1, "expected a topic name and a list of URIs", 0
         self._node.publishers_changed(topic, tuple(uri for uri in publishers if is_node_uri(uri)))
         return 1, "", 0
 

@@ -592,11 +592,11 @@ static PyObject *loop_close(LoopObject *self, PyObject *unused)
 static PyMethodDef loop_methods[] = {
     {"receive", (PyCFunction)loop_receive, METH_VARARGS,
      "receive(fd, owner, capsule): receive from a publisher, into a sink or (None) for wait()."},
-    {"divert", (PyCFunction)loop_divert, METH_VARARGS, "divert(fd, capsule): put what comes into another sink, or none."},
-    {"remove", (PyCFunction)loop_remove, METH_VARARGS, "remove(fd): let go of a connection, before it is closed."},
+    {"divert", (PyCFunction)loop_divert, METH_VARARGS, "divert(fd, capsule): pass what is received to another sink, or to none."},
+    {"remove", (PyCFunction)loop_remove, METH_VARARGS, "remove(fd): stop serving a connection, before it is closed."},
     {"wait", (PyCFunction)loop_wait, METH_NOARGS,
-     "wait() -> [(owner, messages, why it ended or None)], what no sink took; empty after wake()."},
-    {"close", (PyCFunction)loop_close, METH_NOARGS, "Give everything back, once nothing waits."},
+     "wait() -> [(owner, messages, why it ended or None)], what no sink accepted; empty after wake()."},
+    {"close", (PyCFunction)loop_close, METH_NOARGS, "Free everything, once no thread waits."},
     {"wake", (PyCFunction)loop_wake, METH_NOARGS, "Make this or the next wait() return."},
     {NULL, NULL, 0, NULL},
 };
@@ -675,7 +675,7 @@ static PyObject *sender_write(Sender *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "y#p:write", &payload, &size, &latch))
         return NULL;
     if ((size_t)size > self->loop->most)
-        return PyErr_Format(PyExc_OverflowError, "a message has at most %lu bytes", (unsigned long)self->loop->most);
+        return PyErr_Format(PyExc_OverflowError, "a message can have at most %lu bytes", (unsigned long)self->loop->most);
     Py_BEGIN_ALLOW_THREADS;
     pthread_mutex_lock(&self->mutex);
     lost = send_all(self, (const uint8_t *)payload, (size_t)size, latch);
@@ -709,7 +709,7 @@ static PyMethodDef sender_methods[] = {
      "add(fd, owner, depth, latching): send to a subscriber too, what is latched first; `depth` messages may wait."},
     {"write", (PyCFunction)sender_write, METH_VARARGS,
      "write(payload, latch) -> how many messages had to give way in full queues. Never blocks."},
-    {"close", (PyCFunction)sender_close, METH_NOARGS, "Let no outlet send any more."},
+    {"close", (PyCFunction)sender_close, METH_NOARGS, "Stop all outlets from sending."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -71,7 +71,7 @@ class Connections:
                         owner.deliver(messages)
                 except Exception as error:
                     _logger.exception("error in a connection")
-                    why = f"it had an error: {error}"
+                    why = f"an error occurred: {error}"
                 if why is not None:
                     owner.end(why)
 
@@ -183,8 +183,8 @@ class Link:
             self.problem = ("", f"the node at {self.uri} publishes {topic}, but {text}")
         except Exception as error:
             if not self._closing:
-                _logger.exception("%s: the connection to %s had an error", topic, self.uri)
-                self.problem = ("", f"the connection to {self.uri} had an error: {error}")
+                _logger.exception("%s: the connection to %s failed", topic, self.uri)
+                self.problem = ("", f"the connection to {self.uri} failed: {error}")
         if self.connected:
             incoming.node.wake()
         else:

@@ -123,7 +123,7 @@ def _base(options: Mapping[str, object], environment: Mapping[str, str]) -> Any:
             _insert(config, key, value)
         return config
     if not isinstance(path, str | Path):
-        raise BackendError(code, f"{path!r} is not a file's path", where=where)
+        raise BackendError(code, f"{path!r} is not a file path", where=where)
     try:
         # Read here first: the library's words for a missing file do not name it, and it would read a device
         # without end.
@@ -153,7 +153,7 @@ def _overrides(text: str) -> Iterator[tuple[str, str]]:
     for part in filter(None, (part.strip() for part in text.split(";"))):
         path, equals, value = part.partition("=")
         if not equals or not path.strip() or not value.strip():
-            raise BackendError("ROS010", f"{_OVERRIDE} has {part!r}; it must be key=value", where=_OVERRIDE)
+            raise BackendError("ROS010", f"{_OVERRIDE} contains {part!r}; use key=value", where=_OVERRIDE)
         yield path.strip(), value.strip()
 
 
@@ -244,7 +244,7 @@ class Link:
         except zenoh.ZError:
             return ""  # it is being closed
         if self._seen:
-            return f"the Zenoh router at {where} is gone; nodes that start now are not found"
+            return f"the Zenoh router at {where} is gone; new nodes cannot be discovered"
         return f"no Zenoh router answers at {where}"
 
     def close(self) -> None:

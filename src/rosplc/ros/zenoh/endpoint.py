@@ -78,10 +78,10 @@ class Endpoint(BaseEndpoint):
 def read(payload: Any, attachment: Any) -> tuple[bytes, Attachment]:
     """Return payload and attachment; ValueError if no ROS 2 node would send them."""
     if payload is None or attachment is None:
-        raise ValueError("it has no attachment, as every ROS message has")
+        raise ValueError("it has no attachment, unlike every ROS message")
     data: bytes = payload.to_bytes()
     if not is_cdr(data):
-        raise ValueError("it has no header of plain CDR")
+        raise ValueError("it has no plain CDR header")
     return data, unpack(attachment.to_bytes())
 
 

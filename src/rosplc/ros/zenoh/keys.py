@@ -74,7 +74,7 @@ def decode_qos(text: str) -> Qos:
         raise ValueError("the QoS has fewer than three parts")
     history, comma, depth = parts[2].partition(",")
     if not comma or not {parts[0], parts[1], history} <= _KINDS:
-        raise ValueError("the QoS has kinds that ROS does not know")
+        raise ValueError("the QoS has values that ROS does not know")
     numbers = [depth, *(number for part in parts[3:6] for number in part.split(","))]
     if not all(number == "" or (number.isascii() and number.isdigit()) for number in numbers):
         raise ValueError("the QoS has parts that are not numbers")
@@ -110,7 +110,7 @@ def unpack(data: bytes) -> Attachment:
     if size != _GID_SIZE:
         raise ValueError(f"the sender's id has {size} bytes, not {_GID_SIZE}")
     if sequence < 0 or stamp_ns < 0:
-        raise ValueError("sequence number or stamp is negative")
+        raise ValueError("the sequence number or the stamp is negative")
     return Attachment(sequence, stamp_ns, gid)
 
 
@@ -164,7 +164,7 @@ def gid_of(token: str) -> bytes:
 def parse_token(token: str) -> Entity:
     """Read a token; ValueError if it is not what a ROS node announces."""
     if len(token) > LONGEST_TOKEN:
-        raise ValueError(f"it has {len(token)} characters")
+        raise ValueError(f"it has {len(token)} characters; the limit is {LONGEST_TOKEN}")
     parts = [part.replace("%", "/") for part in token.split("/")]
     if len(parts) < _NODE_PARTS or parts[0] != SPACE:
         raise ValueError(f"it has {len(parts)} parts")
@@ -273,4 +273,4 @@ def explain(ours: Entity, theirs: Entity) -> _base.Problem | None:
     problem = _base.explain(theirs.info, ours.info)
     if problem is None or problem[0] != "ROS004":
         return problem
-    return "", f"{problem[1]}; over Zenoh messages are exchanged nevertheless"
+    return "", f"{problem[1]}; over Zenoh, messages are exchanged nevertheless"

@@ -116,7 +116,7 @@ class ZenohClient(Queued, BaseClient, Sender):
         if (attachment.sequence, attachment.gid) == (number, self._gid):
             self._end_soon(number, Reply(payload))
         else:
-            self.reject("it does not repeat number and id of the request")
+            self.reject("it does not repeat the number and id of the request")
 
     def finished(self, number: int, errors: list[str]) -> None:
         """Take in that no more responses come; called by threads of the library."""
