@@ -45,7 +45,7 @@ def main() -> None:
 
         if not is_out_of_memory(error):
             raise
-        sys.stderr.write("rosplc: error SYS014: the system has no more memory\n")
+        sys.stderr.write("rosplc: error SYS014: the system is out of memory\n")
         raise SystemExit(1) from None
     except RuntimeError as error:
         # Python before 3.12 wraps it so where it comes while a class is made, as imports do.

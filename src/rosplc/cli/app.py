@@ -24,7 +24,7 @@ rosplc run  —  run the bridge
 
 rosplc status  —  every channel on this machine, and whether anything is wrong
 
-rosplc doctor  —  problems of machine and configuration, with fixes
+rosplc doctor  —  problems with the machine and the configuration, and fixes
 
 `rosplc VERB --help` explains a verb; `rosplc explain CODE` an error.
 """
@@ -33,24 +33,24 @@ _VERBS = """\
 Set up
   demo: Show ROS topics reaching a virtual PLC and its commands coming back.
   init: Examine a robot or a recording, and write a commented configuration.
-  check: Explain a configuration: what is carried, in which direction, how, and who may open it.
+  check: Explain a configuration: what is carried, in which direction, how, and who may open the objects.
   generate: Write the PLC half: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
   types: List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
 
 Run
   run: Run the bridge in the foreground; logs go to stderr.
-  reload: Tell a running bridge to apply its changed configuration, without stopping it.
+  reload: Apply a changed configuration to a running bridge, without stopping it.
   service: Run a bridge as a systemd service: install it, remove it, or show its status.
-  release: Free the claim of a writer that is dead, so that another program may write the channel.
-  clean: Remove the objects of a prefix that no bridge holds: channels, locks and temporaries.
+  release: Free the claim of a dead writer, so that another program can write the channel.
+  clean: Remove the objects of a prefix that no bridge uses: channels, locks and temporary files.
 
 Watch
-  status: Print one table of every channel of every bridge on this machine, and what is wrong.
+  status: Print a table of all channels on this machine, and any problems.
   show: Show the message in a topic's shared memory, or list all channels of this machine.
   top: Watch every channel of this machine in the terminal: rates, ages, losses, live peers, values.
   web: Show this machine's channels in a browser, live, until Ctrl-C.
   record: Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
-  replay: Replay a recording into channels or onto ROS topics, in its order and at its pace.
+  replay: Replay a recording into channels or onto ROS topics, in the recorded order and at the recorded pace.
 
 ROS
   list: List the topics of the ROS graph, or its services or actions.

@@ -1,6 +1,6 @@
 """``rosplc check``: what a configuration means, in plain words, before anything runs.
 
-rosplc check  —  explain rosplc.yaml, or report with line and key what is wrong in it
+rosplc check  —  explain rosplc.yaml, or report its errors with line and key
 
 rosplc check rosplc.yaml --verbose  —  every detail of every topic
 
@@ -57,7 +57,7 @@ def command(
     fix: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Explain a configuration: what is carried, in which direction, how, and who may open it.
+    """Explain a configuration: what is carried, in which direction, how, and who may open the objects.
 
     Options:
         verbose: Explain each topic: memory, QoS, what happens when silent.
@@ -194,14 +194,14 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
     yield "task", plan.task
     yield "too large", "cut" if plan.truncate else "refused and counted"
     if isinstance(plan, ServicePlan) and plan.server == "plc":
-        yield "waiting", f"{plan.depth} calls at most, {plan.per_client} of one caller"
+        yield "waiting", f"at most {plan.depth} calls, {plan.per_client} per caller"
         yield "expires", f"a call that has waited for {format_duration(plan.expire_after_ns)}"
         if plan.min_interval_ns:
             yield "passes on", f"one call per {plan.min_interval_ns / 1e6:g} ms at most"
         fallback = "nothing" if plan.fallback is None else str(plan.response.to_dict(plan.fallback))
         yield "unanswered", f"the caller gets {fallback}"
     elif isinstance(plan, ActionPlan) and plan.server == "plc":
-        also = {"reject": "is rejected", "abort": "takes its place", "buffer": f"waits, {plan.queue} at most"}
+        also = {"reject": "is rejected", "abort": "replaces the first", "buffer": f"up to {plan.queue} wait"}
         yield "another goal", also[plan.on_new_goal]
         yield "undecided", f"rejected after {format_duration(plan.accept_within_ns)}"
         yield "result", f"kept for {format_duration(plan.keep_result_ns)}"
@@ -218,11 +218,11 @@ def _head(project: Project) -> Iterator[str]:
         f"definitions of {ros.distro}, objects named {settings.prefix}.t.… in {settings.shm.directory}."
     )
     if ros.backend == "auto" and not isinstance(chosen := chosen_backend(project), RosplcError):
-        yield f"ROS backend auto is {chosen}."
+        yield f"ROS backend auto selects {chosen}."
     if ros.distro == "noetic":
-        yield "ROS master: ROS_MASTER_URI's, else http://localhost:11311."
+        yield "ROS master: from ROS_MASTER_URI, else http://localhost:11311."
     else:
-        yield "ROS domain: ROS_DOMAIN_ID's, else 0." if ros.domain is None else f"ROS domain {ros.domain}."
+        yield "ROS domain: from ROS_DOMAIN_ID, else 0." if ros.domain is None else f"ROS domain {ros.domain}."
     yield f"Who may open the objects: {_access_words(access(project))}."
 
 
@@ -237,12 +237,12 @@ def _access_words(given: dict[str, Any]) -> str:
     mode = int(given["mode"], 8)
     owner = f"user {given['owner']}" if given["owner"] else "the user who starts the bridge"
     group = f"group {given['group']}" if given["group"] else "that user's group"
-    verbs = {0: "not at all", 2: "writing", 4: "reading only", 6: "reading and writing"}
+    verbs = {0: "without access", 2: "write-only", 4: "read-only", 6: "read-write"}
     everybody = "no other user" if not mode & 0o006 else f"everybody else {verbs[mode & 0o006]}"
     who = f"{owner} and {group}"
     if mode & 0o060 != 0o060:
         who = f"{owner}; {group} {verbs[mode >> 3 & 0o006]}"
-    return f"{who}, {everybody} (mode {given['mode']}); the PLC's runtime must be one of them"
+    return f"{who}, {everybody} (mode {given['mode']}); the PLC runtime must run as one of them"
 
 
 def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> Iterator[tuple[str, str]]:
@@ -295,8 +295,8 @@ def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
     way = f"lost messages {lost}"
     if plan.layout.store.ros_version == 1:
         way = "over TCP: nothing is lost while the connection lasts"
-    waiting = f"at most {qos.depth} messages wait, the oldest are dropped"
-    yield "", f"{way}; {'one message waits, the newest' if qos.depth == 1 else waiting}"
+    waiting = f"at most {qos.depth} messages wait, then the oldest are dropped"
+    yield "", f"{way}; {'only the newest message waits' if qos.depth == 1 else waiting}"
     kept = qos.durability == "transient_local"
     if plan.direction != 1:
         yield (
@@ -331,4 +331,4 @@ def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> Iterator[tuple[str, 
     yield "lock", lock
     if plan.direction != 1:
         what = "each changed record is a message" if plan.on_change else "each poll is a message"
-        yield "looks", f"every {format_duration(classic.poll_ns)}; {what}"
+        yield "polled", f"every {format_duration(classic.poll_ns)}; {what}"

@@ -187,11 +187,11 @@ def _print(result: Result) -> None:
     say(
         f"PLC task: {cycle['scans']} scans, {cycle['missed']} missed, "
         f"mean {cycle['cycle_mean_us'] / 1000:.2f} ms, longest {cycle['cycle_max_us'] / 1000:.2f} ms; "
-        f"the robot went {result.metres:.2f} m following its commands"
+        f"the robot moved {result.metres:.2f} m, following the PLC's commands"
     )
     if result.program is not None:
         say(
-            f"Structured Text alone: mean {result.program['mean_us']:.0f} µs of a scan, "
+            f"Structured Text alone: mean {result.program['mean_us']:.0f} µs per scan, "
             f"longest {result.program['max_us']:.0f} µs"
         )
     if result.outage is not None:
@@ -206,6 +206,6 @@ def _in_words(outage: Outage) -> str:
 
     return (
         f"The bridge was killed at {outage.killed_at:.1f} s and started again at "
-        f"{outage.restarted_at:.1f} s; from then the PLC had messages after {after(outage.to_plc_at)}, "
-        f"the robot commands after {after(outage.to_ros_at)}. The PLC kept running."
+        f"{outage.restarted_at:.1f} s; then the PLC received messages again after {after(outage.to_plc_at)}, "
+        f"and the robot received commands again after {after(outage.to_ros_at)}. The PLC kept running."
     )

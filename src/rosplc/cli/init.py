@@ -74,11 +74,11 @@ def command(
             several with commas.
         to_plc TOPIC: As --topics, towards the PLC.
         to_ros TOPIC: As --topics, from the PLC to ROS.
-        everything: Carry every topic but those of ROS itself, such as /rosout.
+        everything: Carry every topic except those of ROS itself, such as /rosout.
         services: Also propose the services and actions of the graph, as comments in the file.
         yes: Do not ask; without a choice of topics, take all of them.
         listen TIME: How long to listen for sizes and rates; `0s`: not at all.
-        look TIME: The longest time to look for the robot; it ends early once all is found.
+        look TIME: Maximum time to look for the robot; the search ends early once all is found.
         bag FILE: Examine a recording (.bag, .mcap, .db3, a folder) instead of a robot.
         output FILE: The configuration to write.
         force: Replace an existing configuration.
@@ -127,7 +127,7 @@ def command(
         line.clear()
         if not made.entries:
             reasons = "; ".join(f"{name}: {why}" for name, why in {**left_out, **made.left_out}.items())
-            what = f"nothing is left to carry{f' ({reasons})' if reasons else ''}"
+            what = f"no topic is left to carry{f' ({reasons})' if reasons else ''}"
             raise typer.BadParameter(what, param_hint="--topics")
         text, files = save(source, made, output, bridge=bridge, folders=folders, force=force, calls=services)
     except (KeyboardInterrupt, typer.Abort):
@@ -206,9 +206,9 @@ def _tell(
     say(f"Written: {output}{count if files else ''}")
     say("\nNext:")
     steps = [
-        (f"rosplc check {output}", "what it means, and how much memory it takes"),
+        (f"rosplc check {output}", "explain the file, and show how much memory it needs"),
         (f"rosplc run {output}", "carry the topics"),
-        (f"rosplc generate {output}", "the PLC's half, for CODESYS"),
+        (f"rosplc generate {output}", "write the PLC half, for CODESYS"),
     ]
     table(steps, indent=2)
 
@@ -261,7 +261,7 @@ def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
         return ways[found[0]]
 
     wishes = []
-    for name in _asked("Which to carry (numbers, names, 1-4, all)", "all", names):
+    for name in _asked("Topics to carry (numbers, names, 1-4, all)", "all", names):
         topic, kind = topics[name], None
         if len(topic.types) != 1:
             say(f"{name}: {'unknown type' if not topic.types else ', '.join(topic.types)}")

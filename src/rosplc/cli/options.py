@@ -27,23 +27,23 @@ ConfigFile = Annotated[
 Directory = Annotated[str, typer.Option(help="The folder of the objects.", hidden=True)]
 Prefix = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Only the bridge with this `prefix:`; rosplc.yaml is not read then."),
+    typer.Option(metavar="NAME", help="Only the bridge with this `prefix:`; rosplc.yaml is then not read."),
 ]
 Configs = Annotated[
     list[Path] | None,
     typer.Option(
         "--config",
         metavar="FILE",
-        help="A configuration: its bridge only, judged by its `stale_after:`, with its classic topics and "
-        "those that have no channel. May be repeated. By default rosplc.yaml in this folder, else every "
-        "bridge of the machine.",
+        help="Show only the bridge of this configuration, apply its `stale_after:`, and include its classic "
+        "topics and those without a channel. May be repeated. By default rosplc.yaml in this folder, else "
+        "every bridge of the machine.",
     ),
 ]
 StaleAfter = Annotated[
     str,
     typer.Option(
         metavar="DURATION",
-        help="Age at which messages to the PLC are stale without a configuration, such as 500ms, or `never`.",
+        help="Without a configuration: age at which messages to the PLC are stale, as 500ms, or `never`.",
     ),
 ]
 
@@ -75,7 +75,7 @@ def config_file(given: Path | None) -> Path:
             "CFG001",
             "no configuration was given, and this folder has no rosplc.yaml",
             where=str(Path.cwd()),
-            remedy="Name the file, or write one with `rosplc init`.",
+            remedy="Specify the file, or create one with `rosplc init`.",
         )
     return given or _DEFAULT
 
@@ -120,8 +120,8 @@ def nothing_there(prefixes: Collection[str], directory: str) -> str:
     if not others:
         return "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
     asked = ", ".join(sorted(prefixes))
-    there = f"there are channels of prefix {listed(others)}"
-    return f"There is no channel of prefix {asked} on this machine; {there}."
+    there = f"there are channels with the prefix {listed(others)}"
+    return f"There is no channel with the prefix {asked} on this machine; {there}."
 
 
 def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str, directory: str) -> Watch:

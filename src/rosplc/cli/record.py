@@ -11,8 +11,8 @@ minutes in memory, and write them when a trigger fires; Ctrl-C ends it, `kill -U
 
 rosplc record --repair broken.mcap  —  save the intact part of a file that was cut off
 
-It reads every message in order, without affecting other programs. Messages that it misses are counted,
-printed, and noted in the file.
+It reads every message in order, without affecting other programs. Missed messages are counted, reported,
+and noted in the file.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> N
         return
     say(f"{file}: {done.problem or 'nothing is wrong with it'}")
     if done.damaged:
-        say(f"{plural(done.damaged, 'part')} in between could not be read: left out")
+        say(f"{plural(done.damaged, 'damaged part')} left out")
     say(f"{done.path}: {plural(done.messages, 'message')} of {plural(len(done.topics), 'topic')} saved")
 
 
@@ -199,15 +199,15 @@ def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> Non
     for pattern in options.selection.without_match(topics):
         warn(f"there is no channel {pattern} yet; it is recorded once it exists")
     for trigger, topic in recorder.idle_triggers().items():
-        why = f"{topic} is not recorded, so it cannot fire"
+        why = f"{topic} is not recorded, so the trigger cannot fire"
         if topic in options.selection:
-            why = f"there is no channel {topic} yet; it cannot fire until that exists"
+            why = f"there is no channel {topic} yet; the trigger cannot fire until there is"
         warn(f"trigger {trigger!r}: {why}")
     if not topics:
-        warn(f"there is no channel of prefix {options.namespace.prefix} yet; those that appear are recorded")
+        warn(f"there is no channel with the prefix {options.namespace.prefix} yet; new ones are recorded")
         found = find_objects(str(options.namespace.directory), seconds=0.0)
         if others := sorted({state.prefix for state in found}):
-            warn(f"there are channels of prefix {', '.join(others)}: choose with --prefix")
+            warn(f"there are channels with the prefix {', '.join(others)}: choose one with --prefix")
     if not quiet:
         what, kept = plural(len(topics), "topic"), f"keeping the last {options.keep_ns / 1e9:g} s of"
         kept += f" {what}; triggers: {', '.join(options.triggers)}"
@@ -241,11 +241,11 @@ def _report(recorder: Recorder, result: Result, *, as_json: bool) -> None:
         if not result.saves:
             say("no trigger fired: nothing was saved")
         if result.unsaved:
-            warn(f"{result.unsaved} more triggers: --files {recorder.options.most_files} was reached")
+            warn(f"{result.unsaved} triggers not saved: --files {recorder.options.most_files} was reached")
         if result.cut_short:
             warn("memory was full before --keep was reached: raise --memory, or leave out topics")
     if result.lost:
-        warn("messages were lost: raise slots: of these topics, or record fewer; sequence numbers show where")
+        warn("messages were lost: raise `slots` of these topics or record fewer; sequence numbers show gaps")
 
 
 def _document(result: Result, recorder: Recorder) -> dict[str, Any]:

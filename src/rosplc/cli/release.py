@@ -1,10 +1,10 @@
 """``rosplc release``: free the writer's claim that a dead PLC has left in a channel.
 
-rosplc release /plc/status  —  the PLC that wrote it crashed, and another program is to write it
+rosplc release /plc/status  —  after its PLC crashed, to let another program write it
 
 rosplc release /plc/status --prefix line3 --yes  —  another bridge's channel, without confirmation
 
-The claim is freed only if its holder shows no sign of life for three of its heartbeat periods.
+The claim is freed only if its holder shows no sign of life for three heartbeat periods.
 A PLC that was only paused loses its claim: its block reports error 115 when it runs again.
 """
 
@@ -30,7 +30,7 @@ _LOOK_S = 0.02
 def command(
     topic: str, /, *, prefix: str | None = None, yes: bool = False, directory: Directory = "/dev/shm"
 ) -> None:
-    """Free the claim of a writer that is dead, so that another program may write the channel.
+    """Free the claim of a dead writer, so that another program can write the channel.
 
     Options:
         topic: The topic's ROS name.
@@ -40,7 +40,7 @@ def command(
     namespace = bridge_namespace(prefix, directory)
     with attach(namespace, topic, write=True) as attached:
         if not attached.snapshot().writer.epoch:
-            say(f"{topic} is free: no program holds its claim")
+            say(f"{topic} is free: no program has claimed it")
             return
         _wait_for_silence(attached, topic)
         if not yes:
@@ -51,7 +51,7 @@ def command(
         # Only a bridge writes there: its lock shows whether one is running.
         with OwnedChannel.take_over(namespace, attached) if to_plc else nullcontext():
             Writer(attached.region, attached.snapshot().writer.epoch, 1000).release()
-    say(f"the claim of {topic} is free")
+    say(f"the claim of {topic} was freed")
 
 
 def _wait_for_silence(attached: Attached, topic: str) -> None:

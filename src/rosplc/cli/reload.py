@@ -6,7 +6,7 @@ rosplc reload cell1.yaml  —  check this file, then tell its bridge to read it 
 
 rosplc reload --prefix line3  —  the bridge with this `prefix:`
 
-A file with an error changes nothing. The bridge logs the result. For a service: systemctl reload.
+A file with an error is not applied. The bridge logs the result. For a service: systemctl reload.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rosplc.proc import held_files, status_mask
 def command(
     config: ConfigFile = None, *, prefix: str | None = None, directory: Directory = "/dev/shm"
 ) -> None:
-    """Tell a running bridge to apply its changed configuration, without stopping it.
+    """Apply a changed configuration to a running bridge, without stopping it.
 
     Options:
         prefix NAME: The bridge's `prefix:`, instead of a configuration.
@@ -52,8 +52,8 @@ def command(
         except PermissionError as error:
             raise SetupError(
                 "SYS013",
-                f"this user may not signal the bridge, process {pid}",
-                remedy="Run it as the bridge's user or with sudo; for a service: systemctl reload.",
+                f"this user is not permitted to signal the bridge (process {pid})",
+                remedy="Run this command as the bridge's user or with sudo; for a service: systemctl reload.",
             ) from error
         say(f"The bridge of prefix {prefix} (process {pid}) is reloading its configuration; see its log.")
 

@@ -11,8 +11,8 @@ rosplc replay robot.bag --to ros --topic /odom --rename /odom:=/test/odom  —  
 
 rosplc replay shift.mcap --to plc --config cell1.yaml --service /cell/start  —  also requests of a service
 
-It plays ROS 2 MCAP files and folders, and ROS 1 bags, even if they were cut off. Towards the PLC it
-takes the place of the bridge, so no bridge may carry these topics meanwhile. Messages are stamped with the
+It plays ROS 2 MCAP files and folders, and ROS 1 bags, even if they were cut off. With --to plc, it
+replaces the bridge, so no bridge may carry these topics at the same time. Messages are stamped with the
 time at which they are sent; `--stamps original` keeps the recorded stamps.
 """
 
@@ -77,7 +77,7 @@ def command(
     directory: Directory = "/dev/shm",
     as_json: bool = False,
 ) -> None:
-    """Replay a recording into channels or onto ROS topics, in its order and at its pace.
+    """Replay a recording into channels or onto ROS topics, in the recorded order and at the recorded pace.
 
     Options:
         file: An .mcap or .bag file, or the folder of a ROS 2 recording.
@@ -88,12 +88,12 @@ def command(
         service SERVICE: Also send the recorded requests of this service; may be repeated.
         action ACTION: Also send the recorded goals of this action; may be repeated.
         rename OLD:=NEW: Play a topic under another name.
-        speed FACTOR: 0.5 for half as fast, 2 for twice, or `max`.
-        loop: Begin again at the end, until Ctrl-C.
+        speed FACTOR: 0.5 for half speed, 2 for double speed, or `max`.
+        loop: Repeat until Ctrl-C.
         start TIME: Skip this much at the beginning, such as 30s.
-        end TIME: End at this time after the recording's beginning.
+        end TIME: End this long after the beginning of the recording.
         stamps now|original: The time that messages are stamped with.
-        wait TIME: How long to wait for a reader of each topic before beginning anyway.
+        wait TIME: How long to wait for a reader of each topic before starting anyway.
         prefix NAME: With --to plc: the channels' prefix, instead of the configuration's.
         config FILE: With --to plc: a configuration with prefix, limits and slots; without --prefix,
             rosplc.yaml in this folder by default.
@@ -137,10 +137,10 @@ def _options(
     except ValueError:
         factor = -1.0
     if speed != "max" and not 1e-3 <= factor <= 1e6:
-        raise typer.BadParameter(f"{speed!r} is neither a factor from 0.001 up nor max", param_hint="--speed")
+        raise typer.BadParameter(f"{speed!r} is neither max nor from 0.001 to 1e6", param_hint="--speed")
     begin, finish = duration(start, "--start"), duration(end, "--end")
     if finish and finish <= begin:
-        raise typer.BadParameter("it lies before --start", param_hint="--end")
+        raise typer.BadParameter("must be after --start", param_hint="--end")
     return ReplayOptions(factor, loop, begin, finish, stamps)
 
 
@@ -149,7 +149,7 @@ def _renames(texts: list[str]) -> dict[str, str]:
     for text in texts:
         old, colon, new = text.partition(":=")
         if not colon or not old.startswith("/") or not new.startswith("/"):
-            raise typer.BadParameter(f"{text!r} is not of the form /old:=/new", param_hint="--rename")
+            raise typer.BadParameter(f"{text!r} does not have the form /old:=/new", param_hint="--rename")
         renames[old] = new
     return renames
 
@@ -208,8 +208,8 @@ def _play(file: Path, player: Player, patience: float, *, quiet: bool, as_json: 
             if not quiet:
                 pace = "as fast as possible"
                 if options.speed:
-                    pace = f"{options.speed:g} times as fast as recorded"
-                kind = "the present time" if options.stamps == "now" else "their recorded time"
+                    pace = f"at {options.speed:g} times the recorded speed"
+                kind = "the current time" if options.stamps == "now" else "their recorded time"
                 warn(f"playing {file}, {pace}; messages are stamped with {kind}")
             try:
                 player.play(partial(pause, stop), lambda: line.show(progress))
@@ -246,9 +246,9 @@ def _report(player: Player, *, as_json: bool) -> None:
             if one.reason:
                 warn(f"{name}: {one.reason}")
         if player.options.speed:
-            say(f"the latest message was {player.latest_ns / 1e6:.1f} ms late")
+            say(f"the longest delay was {player.latest_ns / 1e6:.1f} ms")
         if player.disordered:
-            warn(f"{plural(player.disordered, 'message')} out of order in the file; sent at once")
+            warn(f"{plural(player.disordered, 'message')} out of order in the file, sent immediately")
     if any(one.refused or one.lost for one in counts.values()) or not sent:
         raise typer.Exit(EXIT_FAILURE)
 

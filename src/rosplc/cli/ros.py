@@ -82,7 +82,7 @@ class _Node:
             types = self.graph(topic).topics.get(topic, ())
             if len(types) != 1:
                 seen = f"has several types: {', '.join(types)}" if types else "was not seen in the graph"
-                raise typer.BadParameter(f"{topic} {seen}; name the type after the topic", param_hint="TOPIC")
+                raise typer.BadParameter(f"{topic} {seen}; add the type after the topic", param_hint="TOPIC")
             named = types[0]
         name = full_name(named)
         learn(self.definitions, self.backend, topic, name)

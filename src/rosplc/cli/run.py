@@ -10,8 +10,8 @@ ROS program takes them; in ROS 1 `__ns:=/robot1 /cmd_vel:=/base/cmd_vel`
 `rosplc reload` applies a changed file; a file with an error changes nothing. Closing the terminal ends
 the bridge.
 
-The objects in shared memory remain when it ends: a running PLC keeps its last values, and the next start
-reuses the objects. `rosplc clean` removes them.
+The objects in shared memory remain when the bridge ends: a running PLC keeps its last values, and the
+next start reuses the objects. `rosplc clean` removes them.
 """
 
 from __future__ import annotations

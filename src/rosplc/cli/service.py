@@ -2,7 +2,7 @@
 
 rosplc service install cell1 --dry-run  —  show every file and command for /etc/rosplc/cell1.yaml
 
-rosplc service install cell1  —  write them, and start the bridge with the machine from now on
+rosplc service install cell1  —  write them, and start the bridge at every boot
 
 rosplc service status  —  list the bridges that are services, with their status
 
@@ -54,10 +54,10 @@ def command(
 
     Options:
         what WHAT: `install`, `uninstall` or `status`.
-        name: The service's name; the configuration file's by default.
+        name: The service's name; by default that of the configuration file.
         config FILE: The configuration; /etc/rosplc/NAME.yaml by default.
         user NAME: The user that runs the bridge; created if missing.
-        root DIR: Work in this folder instead of /, for images of machines.
+        root DIR: Work in this folder instead of /, for machine images.
         dry_run: Show what would be done.
     """
     root = root.absolute()
@@ -68,7 +68,7 @@ def command(
         raise SetupError(
             "SYS011",
             f"only root may {what} a service",
-            remedy="Run it with sudo; --dry-run shows what would be done, and needs no rights.",
+            remedy="Run it with sudo; --dry-run shows what would be done, and needs no privileges.",
         )
     notes: tuple[str, ...] = ()
     if what == "install":
@@ -76,7 +76,7 @@ def command(
         steps = install_steps(plan, root)
     else:
         if name is None:
-            raise typer.BadParameter("name the service to remove", param_hint="NAME")
+            raise typer.BadParameter("specify the service to remove", param_hint="NAME")
         steps = uninstall_steps(name, root)
     if not dry_run and root == Path("/"):
         require_systemd()
@@ -91,7 +91,7 @@ def command(
         return
     execute(steps, (lambda _: None) if as_json else say)
     if what == "install" and not as_json:
-        say(f"\nThe service starts with the machine. To start it now: systemctl start {plan.unit}")
+        say(f"\nThe service starts at boot. To start it now: systemctl start {plan.unit}")
 
 
 def _facts(step: Step) -> dict[str, object]:
@@ -116,4 +116,4 @@ def _show(states: list[dict[str, object]], *, as_json: bool) -> None:
         say("No bridge is installed as a service.")
         return
     rows = [(s["unit"], s["enabled"], s["active"], s["restarts"], s["status"]) for s in states]
-    table(rows, header=("service", "at start", "now", "restarts", "status"))
+    table(rows, header=("service", "at boot", "now", "restarts", "status"))

@@ -6,13 +6,13 @@ rosplc show /cmd_vel  —  the newest message of a topic
 
 rosplc show /cmd_vel --follow  —  every message from now on
 
-rosplc show /gripper/close --header  —  of a service or action: the last request and answer
+rosplc show /gripper/close --header  —  for a service or action: the last request and response
 
 rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
 
 rosplc show --config cell.yaml  —  also its classic topics, which cannot describe themselves
 
-For channels, it needs no configuration. It needs no ROS and only read access, and affects no other program.
+Channels need no configuration. The command needs no ROS, only read access, and affects no other program.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def _poll(news: Callable[[], int], count: int | None, timeout: float | None, wha
 
 def _require(printed: int, count: int | None, what: str) -> None:
     if count is not None and printed < count:
-        warn(f"rosplc: {printed} of {count} {what} arrived within the time")
+        warn(f"rosplc: only {printed} of {count} {what} arrived before the timeout")
         raise typer.Exit(EXIT_FAILURE)
 
 
@@ -221,8 +221,8 @@ def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: s
         name = topic[1:].replace("/", ".")
         if not name or "/" in name or not (Path("/dev/shm") / name).is_file():
             return error
-        what = f"{topic} has no channel, but there is a memory /dev/shm/{name}, perhaps of a classic topic"
-        remedy = "Such a memory cannot describe itself: give its configuration with --config FILE."
+        what = f"{topic} has no channel, but /dev/shm/{name} exists and may belong to a classic topic"
+        remedy = "A classic topic does not describe itself: specify its configuration with --config FILE."
         return ChannelError(error.code, what, where=error.where, remedy=remedy)
     what = f"no channel {topic} with the prefix {prefix or 'rosplc'}"
     remedy = f"There is one with the prefix {', '.join(others)}: add --prefix {others[0]}."

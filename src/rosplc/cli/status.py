@@ -8,10 +8,10 @@ rosplc status --json | jq '.channels[] | select(.state != "ok") | .topic'
 
 rosplc status --follow  —  then print events, one per line, until Ctrl-C
 
-It watches for about a second; if a heartbeat is missing, for three of its periods, usually three seconds,
-and longer for a bridge that is starting. It needs no configuration and no ROS, only read access, and
-affects no other program. The exit status is 0 only if there are channels and nothing is wrong with any, and
-1 otherwise, for use in scripts. In JSON, `worst` is null where there are no channels.
+It watches for about a second; if a heartbeat is missing, for three heartbeat periods (usually three
+seconds), and longer if a bridge is starting. It needs no configuration and no ROS, only read access, and
+affects no other program. The exit status is 0 if there are channels and none has a problem, and 1
+otherwise. In JSON, `worst` is null if there are no channels.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def command(
     directory: Directory = "/dev/shm",
     as_json: bool = False,
 ) -> None:
-    """Print one table of every channel of every bridge on this machine, and what is wrong.
+    """Print a table of all channels on this machine, and any problems.
 
     Options:
         follow: Keep running and print events until Ctrl-C.

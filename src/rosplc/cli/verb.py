@@ -122,7 +122,7 @@ def _known(error: Exception) -> RosplcError | None:
     if isinstance(error, RosplcError):
         return error
     if is_out_of_memory(error):
-        return SetupError("SYS014", "the system has no more memory")
+        return SetupError("SYS014", "the system is out of memory")
     if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         return SetupError("SYS006", "too many files are open", where=str(error.filename or ""))
     if isinstance(error, OSError) and error.errno in _NO_OUTPUT and error.filename is None:
@@ -138,7 +138,7 @@ def _report(failure: Exception, *, as_json: bool) -> int:
         if os.environ.get("ROSPLC_DEBUG"):
             raise failure
         what = f"{type(failure).__name__}: {failure}"
-        remedy = "This is a defect of rosplc. Set ROSPLC_DEBUG=1 for the traceback and report it."
+        remedy = "This is a bug in rosplc. Set ROSPLC_DEBUG=1 to get the traceback, and report it."
         text = f"rosplc: unexpected error: {harmless(what)}\n  remedy: {remedy}\n"
         document = {"error": {"code": "", "what": what, "where": "", "remedy": ""}}
         sys.stderr.write(json.dumps(document) + "\n" if as_json else text)

@@ -11,7 +11,7 @@ rosplc web --allow-write  —  allow anyone who has the printed token to write t
 rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable from the network, with your own token
 
 It needs no configuration and no ROS, only read access, and affects no other program. Anyone who can open it
-sees every message that the user who started it may read. Nothing is encrypted: do not use --bind in an
+sees every message that the user who started it may read. Nothing is encrypted: do not use --bind on an
 untrusted network. It needs `pip install 'rosplc[views]'`.
 """
 
@@ -56,7 +56,7 @@ def command(
         name HOST: A host name that browsers use for this server; may be repeated.
         allow_write: Let users with the token write test messages.
         token_file FILE: A file that contains the token; by default one is created and printed.
-        token_to_view: Require the token to view anything, also on loopback.
+        token_to_view: Require the token to view anything, even on loopback.
         as_json: Print address and token as JSON.
     """
     need_extra("aiohttp", "views", "web")
@@ -67,8 +67,8 @@ def command(
     if needed and token_file is None and _to_journal():
         raise WebError(
             "WEB002",
-            "the token would be printed into the system's journal, where others may read it",
-            remedy="Write a token into a file that only this service's user may read: --token-file.",
+            "the token would be printed to the system journal, where others may read it",
+            remedy="Write a token to a file that only this service's user can read, and use --token-file.",
         )
     watch = open_watch(prefix, config, stale_after, directory)
     settings = Settings(
@@ -92,8 +92,8 @@ def command(
         sys.stdout.flush()
         if beyond:
             warn(
-                f"rosplc: warning: listening on {address}, beyond this machine. Nothing is encrypted: "
-                "anyone who can sniff this network can read messages and token."
+                f"rosplc: warning: listening on {address}, for other machines too. Nothing is encrypted: "
+                "anyone who can capture this network's traffic can read the messages and the token."
             )
 
     log_to_stderr(logging.INFO)
@@ -115,9 +115,7 @@ def _introduce(settings: Settings, url: str, *, from_file: Path | None) -> None:
         url += f"#token={settings.token}"
     say(f"The page is at {url}")
     if settings.token:
-        what = (
-            "look" if not settings.allow_write else "look and to write" if settings.token_to_view else "write"
-        )
+        what = "view" if not settings.allow_write else "view and write" if settings.token_to_view else "write"
         place = "is part of the address" if from_file is None else f"is in {from_file}"
-        say(f"To {what}, the token is needed; it {place}.")
+        say(f"The token is required to {what}; it {place}.")
     say("Ctrl-C ends it.")

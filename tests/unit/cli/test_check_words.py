@@ -86,9 +86,9 @@ def test_what_generate_would_refuse_is_a_warning(tmp_path: Path) -> None:
         ("{}", "the user who starts the bridge and that user's group, no other user (mode 0660)"),
         ("{group: root}", "the user who starts the bridge and group root, no other user"),
         ("{owner: 0, group: 0}", "user root and group root, no other user"),
-        ('{mode: "0600"}', "the user who starts the bridge; that user's group not at all, no other user"),
-        ('{mode: "0644"}', "that user's group reading only, everybody else reading only (mode 0644)"),
-        ('{mode: "0666"}', "that user's group, everybody else reading and writing (mode 0666)"),
+        ('{mode: "0600"}', "the user who starts the bridge; that user's group without access, no other user"),
+        ('{mode: "0644"}', "that user's group read-only, everybody else read-only (mode 0644)"),
+        ('{mode: "0666"}', "that user's group, everybody else read-write (mode 0666)"),
     ],
 )
 def test_who_may_open_the_objects_is_told(tmp_path: Path, shm: str, words: str) -> None:
@@ -106,7 +106,7 @@ def test_who_may_open_the_objects_is_told(tmp_path: Path, shm: str, words: str) 
             "jazzy",
             "messages that publishers stored before the bridge started are received",
         ),
-        ("to: ros, qos: {depth: 1}", "jazzy", "sent again; one message waits, the newest"),
+        ("to: ros, qos: {depth: 1}", "jazzy", "sent again; only the newest message waits"),
         ("to: ros", "jazzy", "a late subscriber gets the stored messages"),
         ("to: ros, latched: false", "jazzy", "a late subscriber gets no earlier messages"),
         ("to: plc", "noetic", "over TCP: nothing is lost while the connection lasts"),
@@ -212,7 +212,7 @@ def test_actions_in_words_and_as_json(tmp_path: Path) -> None:
     output = " ".join(explained(tmp_path, text).split())
     for words in (
         "0 topics, 1 service and 2 actions",
-        "another goal waits, 2 at most",
+        "another goal up to 2 wait",
         "undecided rejected after 5s",
         "without a PLC the goal continues",
         "action /b x called by the PLC",

@@ -99,4 +99,4 @@ def test_show_without_a_configuration_says_what_is_missing(name: str) -> None:
     """A memory with the topic's name is no channel; the error says how to see it."""
     Path(f"/dev/shm/{name}").write_bytes(RECORD)
     code, _, errors = run("show", f"/{name}")
-    assert code != 0 and f"there is a memory /dev/shm/{name}" in errors and "--config" in errors
+    assert code != 0 and f"but /dev/shm/{name} exists" in errors and "--config" in errors

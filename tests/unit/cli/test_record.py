@@ -146,7 +146,7 @@ def test_triggers_that_cannot_fire_are_named(shm_namespace: Namespace, tmp_path:
     with talking(shm_namespace):
         said = rosplc(*keep, *more, "--duration", "100ms").stderr
     assert "trigger '/nosuch.x > 1': there is no channel /nosuch yet" in said
-    assert "trigger '/b.data': /b is not recorded, so it cannot fire" in said
+    assert "trigger '/b.data': /b is not recorded, so the trigger cannot fire" in said
     assert "trigger '/a." not in said
 
 
@@ -200,7 +200,7 @@ def test_what_is_refused_in_words(shm_namespace: Namespace, tmp_path: Path) -> N
     """No channel, a name that is taken, a file that is none, an unknown topic: each has its error."""
     prefix = ("--prefix", shm_namespace.prefix)
     empty = rosplc("record", *prefix, "-o", tmp_path / "e", "--duration", "100ms", code=1)
-    assert "REC004" in empty.stderr and "no channel of prefix" in empty.stderr
+    assert "REC004" in empty.stderr and "no channel with the prefix" in empty.stderr
     assert not list(tmp_path.iterdir())
     (tmp_path / "taken.mcap").write_text("mine")
     assert "REC001" in rosplc("record", *prefix, "-o", tmp_path / "taken", code=1).stderr

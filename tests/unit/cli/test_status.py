@@ -147,7 +147,7 @@ def test_a_configuration_in_this_folder_is_the_default(running, tmp_path, shm_na
         Path("rosplc.yaml").write_text(f"bridge: test\nprefix: {running}y\n{topics}")
         assert prefixes(code=1) == {f"{running}y"}  # configured and missing
         Path("rosplc.yaml").write_text(f"bridge: test\nprefix: {running}y\ntopics: {{}}\n")
-        assert f"no channel of prefix {running}y on this machine" in rosplc("status", code=1).output
+        assert f"no channel with the prefix {running}y on this machine" in rosplc("status", code=1).output
     finally:
         other.channel.retire()
 
@@ -184,7 +184,7 @@ def test_a_prefix_without_channels_is_told_from_a_machine_without_any(running):
     for verb in ("status", "show"):
         code = 1 if verb == "status" else 0
         output = rosplc(verb, "--prefix", "nosuch", code=code).output
-        assert "There is no channel of prefix nosuch on this machine; there are channels of prefix" in output
+        assert "There is no channel with the prefix nosuch on this machine; there are channels with" in output
         assert "There are no channels" not in output
     document = json.loads(rosplc("status", "--prefix", "nosuch", "--json", code=1).output)
     assert (document["worst"], document["channels"]) == (None, [])

@@ -53,7 +53,10 @@ def test_two_topics_of_one_message() -> None:
         ("a: {type: int}", "did you mean 'integer'?"),
         ("a.b: {type: bool}\n    a_b: {type: bool}", "a_b and a.b would both be a_b in the PLC"),
         ("a: {type: bool}\n  task: Fast", "task 'Fast' is not defined"),
-        ("a: {type: bool}\ntopics: {/parameters/wanted: {type: std_msgs/msg/Bool, to: plc}}", "itself already carries"),
+        (
+            "a: {type: bool}\ntopics: {/parameters/wanted: {type: std_msgs/msg/Bool, to: plc}}",
+            "itself already carries",
+        ),
     ],
 )
 def test_refusals(declared: str, words: str) -> None:

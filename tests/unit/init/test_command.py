@@ -247,10 +247,10 @@ def test_questions_on_a_terminal(domain: int, here: Path) -> None:
         process = start(domain, "--look", "60s", "--listen", "500ms", stream=theirs)
         os.close(theirs)
         try:
-            shown = read_until(ours, "Which to carry")
+            shown = read_until(ours, "Topics to carry")
             assert "/joint_states" in shown
             os.write(ours, b"nonsense\n")
-            read_until(ours, "Which to carry")
+            read_until(ours, "Topics to carry")
             os.write(ours, b"1-2, /mode\n")
             read_until(ours, "Carry it to (plc/ros/none) [ros]")
             os.write(ours, b"\n")
