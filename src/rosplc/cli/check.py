@@ -322,11 +322,11 @@ def _total(project: Project) -> Iterator[str]:
 
 
 def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> Iterator[tuple[str, str]]:
-    yield "classic", f"memory {classic.name} with the bare record"
+    yield "classic", f"shared memory {classic.name} with the bare record"
     lock = "none: a record may be read while it is written"
     if classic.semaphore:
         tried, held = format_duration(classic.wait_ns), format_duration(classic.recover_after_ns)
-        freed = f"freed when it is held for {held} without a sign of life"
+        freed = f"freed after {held} without a sign of life"
         lock = f"semaphore {classic.semaphore}, tried for {tried}, {freed}"
     yield "lock", lock
     if plan.direction != 1:

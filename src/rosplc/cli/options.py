@@ -43,7 +43,7 @@ StaleAfter = Annotated[
     str,
     typer.Option(
         metavar="DURATION",
-        help="Without a configuration: age at which messages to the PLC are stale, as 500ms, or `never`.",
+        help="Without a configuration: age at which messages to the PLC are stale (`500ms`, `never`).",
     ),
 ]
 

@@ -55,7 +55,7 @@ def command(
                 f"this user is not permitted to signal the bridge (process {pid})",
                 remedy="Run this command as the bridge's user or with sudo; for a service: systemctl reload.",
             ) from error
-        say(f"The bridge of prefix {prefix} (process {pid}) is reloading its configuration; see its log.")
+        say(f"The bridge with prefix {prefix} (process {pid}) is reloading its configuration; see its log.")
 
 
 def _handles_reload(pid: int) -> bool:

@@ -137,7 +137,7 @@ def _options(
     except ValueError:
         factor = -1.0
     if speed != "max" and not 1e-3 <= factor <= 1e6:
-        raise typer.BadParameter(f"{speed!r} is neither max nor from 0.001 to 1e6", param_hint="--speed")
+        raise typer.BadParameter(f"{speed!r} is neither max nor between 0.001 and 1e6", param_hint="--speed")
     begin, finish = duration(start, "--start"), duration(end, "--end")
     if finish and finish <= begin:
         raise typer.BadParameter("must be after --start", param_hint="--end")

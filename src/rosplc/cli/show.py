@@ -238,7 +238,7 @@ def _list(states: list[ObjectState], prefix: str | None, directory: str) -> None
         for state in states:
             if state.error or (state.kind != "topic") is not calls:
                 continue
-            who = "alive" if state.writer_alive else "silent", ", ".join(state.readers) or "nobody"
+            who = "alive" if state.writer_alive else "silent", ", ".join(state.readers) or "none"
             name = (state.topic, f"{state.part} {state.client}".rstrip()) if calls else (state.topic,)
             way = _WAYS.get(state.direction, "→ ROS")
             rows.append((state.prefix, *name, way, state.type_name, state.record_size, state.head, *who))

@@ -6,8 +6,8 @@ rosplc top --config cell.yaml  —  judged by the configuration, with its classi
 
 rosplc top --interval 2  —  update every two seconds, over a slow connection
 
-It needs no configuration and no ROS, only read access, and affects no other program. It works over ssh, from
-60 columns and 20 rows; for scripts, use `rosplc status`. It needs `pip install 'rosplc[views]'`.
+It needs no configuration and no ROS, only read access, and affects no other program. It works over ssh.
+It needs 60 columns and 20 rows, and `pip install 'rosplc[views]'`. For scripts, use `rosplc status`.
 """
 
 from __future__ import annotations

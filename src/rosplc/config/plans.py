@@ -58,7 +58,7 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
     name = asked.name or classic_name(topic)
     key = ("topics", topic, "classic")
     if len(name) > MAX_NAME:
-        what = f"the name {name!r} has {len(name)} characters; a STRING in the PLC can have {MAX_NAME}"
+        what = f"the name {name!r} has {len(name)} characters; a PLC's STRING is limited to {MAX_NAME}"
         raise config.source.wrong(key, what, "Set a shorter name with classic: {name: …}.")
     if name.startswith(settings.prefix + "."):
         what = f"the name {name!r} begins with {settings.prefix}., reserved for this bridge's objects"

@@ -362,7 +362,7 @@ class TaskSettings(_Section):
     kind: Literal["cyclic", "freewheeling"] = _f("cyclic", "The kind of task.")
     interval_ns: Duration = _f("10ms", "The cycle time.")
     priority: StrictInt = _f(4, "The priority: 0 is the highest, 31 the lowest.", ge=0, le=31)
-    watchdog_ns: Duration | None = _f(None, "The longest time that a cycle may take. Default: no watchdog.")
+    watchdog_ns: Duration | None = _f(None, "The maximum time that a cycle may take. Default: no watchdog.")
     watchdog_sensitivity: StrictInt = _f(1, "Consecutive overruns that trigger the watchdog.", ge=1, le=255)
 
 
@@ -575,7 +575,7 @@ class ServiceSettings(_CallSettings):
 
     type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
     depth: StrictInt = _f(
-        16, "`server: plc`: the most calls that may wait or run; further calls are refused.", ge=1, le=1000
+        16, "`server: plc`: maximum number of waiting and running calls; others are refused.", ge=1, le=1000
     )
     per_client: StrictInt | None = _f(
         None,
@@ -585,7 +585,7 @@ class ServiceSettings(_CallSettings):
         le=1000,
     )
     rate_limit_ns: Interval | None = _f(
-        None, "`server: plc`: shortest time between two calls passed to the PLC (`10ms`), or a rate."
+        None, "`server: plc`: minimum time between two calls passed to the PLC (`10ms`), or a rate."
     )
     expire_after_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "5s", "`server: plc`: a call that has waited longer than this is not passed to the PLC, 1ms to 1h."
@@ -634,7 +634,7 @@ class ParameterSettings(_Section):
         None, "For an integer or double: `[least, greatest]`, or `[least, greatest, step]`."
     )
     read_only: bool = _f(False, "Whether only the PLC program may change it.")
-    description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "A description for people.")
+    description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "A description for users.")
     capacity: StrictInt | None = _f(
         None, "Maximum number of elements of an array. Default: `limits.sequence`.", ge=1, le=1 << 24
     )

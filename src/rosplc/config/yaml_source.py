@@ -248,7 +248,7 @@ class _Builder:
             if self._expects_key():
                 raise self._no_yaml("a key must be plain text", line)
             if len(self._open) >= DEEPEST:
-                raise self._no_yaml(f"the file has more than {DEEPEST} levels", line)
+                raise self._no_yaml(f"the file has more than {DEEPEST} levels of nesting", line)
             container: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
             path = self._value(container, line)
             self._open.append(_Container(container, path))

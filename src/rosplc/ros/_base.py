@@ -443,7 +443,7 @@ class KeepingServer(BaseEndpoint):
 
 
 _call_numbers = itertools.count(1)  # of this process: a client that is opened again repeats none
-NO_SERVER = backend.Reply(None, "not executed", Reason.NO_SERVER, "no server that can be called is known")
+NO_SERVER = backend.Reply(None, "not executed", Reason.NO_SERVER, "no available server is known")
 SERVER_GONE = backend.Reply(None, "fate unknown", Reason.SERVER_GONE, "the server is gone")
 
 

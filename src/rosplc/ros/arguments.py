@@ -134,7 +134,7 @@ def _rule(text: str) -> tuple[str, str, str]:
         if source == "__ns":
             return node, source, validate_namespace(target)
         if source.startswith("__"):
-            raise _refuse(text, "the special names are __node, __name and __ns")
+            raise _refuse(text, "unknown special name; use __node, __name or __ns")
         for name in (source, target):
             resolve_topic(name, node_name="node")
     except BackendError as error:

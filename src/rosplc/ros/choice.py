@@ -94,7 +94,7 @@ def choose(
     tried = "; ".join(f"{name} ({everything[name]})" for name in INSTALL if name in everything)
     raise BackendError(
         "ROS001",
-        f"ros.backend: auto found no backend ({why}): {tried}",
+        f"ros.backend: auto found no usable backend ({why}): {tried}",
         where="ros.backend",
         remedy="Install one: "
         + "; ".join(f"for {name}: {INSTALL[name]}" for name in wanted)

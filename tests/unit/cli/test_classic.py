@@ -46,8 +46,8 @@ def test_check_explains_memory_and_lock(config: Path, name: str) -> None:
     """Names, waits and what a message is are in the explanation, and in JSON."""
     code, out, _ = run("check", "-v", config)
     assert code == 0
-    assert f"memory {name} with the bare record" in out
-    assert f"semaphore {name}, tried for 5ms, freed when it is held for 1s" in out
+    assert f"shared memory {name} with the bare record" in out
+    assert f"semaphore {name}, tried for 5ms, freed after 1s" in out
     assert "each changed record is a message" in out
     assert "slots" not in out
     assert f"no lock guards the classic memory {name}.free" in out

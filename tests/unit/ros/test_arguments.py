@@ -68,7 +68,7 @@ def test_what_concerns_the_client_library_is_kept() -> None:
         (["-r", "/a:=/1"], "not start with a digit"),
         (["-r", "__node:=a/b"], "node name"),
         (["-r", "__ns:=a"], "must start with /"),
-        (["-r", "__nod:=a"], "special names"),
+        (["-r", "__nod:=a"], "special name"),
         (["-r", "1:a:=b"], "not a valid node name"),
         (["-p", "x"], "form from:=to"),
         (["-p", "a b:=1"], "a parameter has the form"),

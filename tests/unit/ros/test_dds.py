@@ -277,7 +277,7 @@ def test_damaged_announcements_are_refused() -> None:
 def test_bytes_that_do_not_fit_are_refused(graph: Graph, body: bytes) -> None:
     """A payload that is no message of the type is refused before it is sent."""
     publisher = graph.node("node").advertise("/chatter", STRING, Qos())
-    with pytest.raises(BackendError, match=r"do not fit std_msgs/msg/String.*ROS008"):
+    with pytest.raises(BackendError, match=r"are not a valid std_msgs/msg/String.*ROS008"):
         publisher.write(b"\0\1\0\0" + body)
     assert (publisher.status().sent, publisher.status().rejected) == (0, 1)
 

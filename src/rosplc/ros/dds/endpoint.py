@@ -190,5 +190,5 @@ class DdsPublisher(BasePublisher, Endpoint):
             self._warn_large(len(payload))
         code = ddspy_write_ts(self.ref, payload, stamp_ns)
         if code < 0 and code != native.RETCODE_TIMEOUT:
-            raise self._refusal(f"its {len(payload)} bytes do not fit {self.type_name}")
+            raise self._refusal(f"its {len(payload)} bytes are not a valid {self.type_name}")
         return bool(code >= 0)

@@ -95,7 +95,7 @@ class _Service(Endpoint):
                 raise self._closed()
             code = ddspy_write(self._writer_ref, with_header(payload, client, number))
             if code < 0 and code != native.RETCODE_TIMEOUT:
-                raise self._refusal(f"its {len(payload)} bytes do not fit {self.type_name}")
+                raise self._refusal(f"its {len(payload)} bytes are not a valid {self.type_name}")
             self._dropped += code < 0
             return bool(code >= 0)
 
