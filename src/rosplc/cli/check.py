@@ -266,7 +266,7 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
         yield "limits", limits
     how, task = "every message, in order" if plan.every else "the newest message", project.tasks[plan.task]
     cycle = f"every {format_duration(task.interval_ns)}" if task.kind == "cyclic" else "freewheeling"
-    yield "takes", f"{how}; PLC task {plan.task}, {cycle}"
+    yield "delivers", f"{how}; PLC task {plan.task}, {cycle}"
     if names is not None:
         yield "in the PLC", f"{'read' if to_plc else 'written'} with {names[0]} (block {names[1]})"
     if (wanted := plan.transform) is not None:

@@ -324,7 +324,7 @@ def _print_call(view: ChannelView, message: Message | None, *, header: bool) -> 
             ("way", _WAYS[view.direction]),
             ("carried out in", "the PLC" if view.call.server == "plc" else "ROS"),
             ("correlation", view.call.correlation or "none"),
-            ("seen to end", ended or "none"),
+            ("ended", ended or "none"),
             ("layout id", view.layout_id),
             ("bridge", view.bridge),
             ("PLC", plc_text(view)),

@@ -232,7 +232,7 @@ class RclpySettings(_Section):
         (), "ROS arguments of the node, as a list of the words after `--ros-args`."
     )
     parameters: dict[str, str | list[str]] = _f(
-        {}, "Parameters that the node shows, by name: strings or lists of strings."
+        {}, "Read-only parameters of the node, by name: strings or lists of strings."
     )
 
 
@@ -241,8 +241,8 @@ class RosSettings(_Section):
 
     backend: BackendName = _f(
         "auto",
-        "How to reach ROS. `auto` chooses by distribution, environment and installed packages; "
-        "`rosplc check` shows the choice and the reason. `memory` stays inside the process and is for tests.",
+        "How to reach ROS. `auto` chooses by distribution, environment and installed packages; `rosplc "
+        "check` shows the choice and the reason. `memory` is for tests within one process.",
     )
     distro: Distro = _f("jazzy", "The distribution whose message definitions apply; `noetic` is ROS 1.")
     domain: StrictInt | None = _f(None, "The ROS domain. Default: `ROS_DOMAIN_ID`, else 0.", ge=0, le=232)
@@ -281,10 +281,10 @@ class ShmSettings(_Section):
     """The objects in shared memory."""
 
     mode: FileMode = _f(
-        "0660", "Permission bits, as text. If the PLC runtime has another user, set a common `group`."
+        "0660", "Permission bits, as text. If the PLC runs as another user, set a common `group`."
     )
     owner: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
-        None, "User that owns the objects, by name or number; changing it needs root."
+        None, "User that owns the objects, by name or number; another user requires root."
     )
     group: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
         None, "Group that owns the objects, by name or number."
@@ -303,7 +303,7 @@ class DiagnosticsSettings(_Section):
     )
     debounce_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "500ms",
-        "How long a source must be silent beyond `stale_after` before the level changes, and how long it "
+        "How long a source must be silent beyond `stale_after` before its level changes, and how long it "
         "must send again before the level returns, 1ms to 1h. A single late message has no effect.",
     )
 
@@ -385,8 +385,8 @@ class QosSettings(_Section):
     )
     deadline_ns: Interval | None = _f(
         None,
-        "`dds` only: the longest time between two messages. `to: plc` ignores publishers that do not "
-        "offer it; `to: ros` offers it to subscribers. Missed deadlines are counted.",
+        "`dds` only: the longest time between two messages. `to: plc` requests it and ignores publishers "
+        "that do not offer it; `to: ros` offers it. Missed deadlines are counted.",
     )
     lease_ns: Annotated[Duration, between("100ms", "1h")] | None = _f(
         None,
@@ -469,8 +469,8 @@ class TopicSettings(_Section):
         None,
         "Whether a message already in shared memory at startup is used. `to: plc`: a starting PLC takes "
         "it as new. `to: ros`: a starting bridge publishes it again. With `classic`: towards ROS, the "
-        "content of the memory at startup is a message; towards the PLC, the last message is written to a "
-        "new memory. Default: whether `qos` requests transient local.",
+        "content of the memory at startup counts as a message; towards the PLC, the last message is "
+        "written to a new memory. Default: whether `qos` requests transient local.",
     )
     every: bool | None = _f(
         None,
@@ -579,7 +579,7 @@ class ServiceSettings(_CallSettings):
     )
     per_client: StrictInt | None = _f(
         None,
-        "`server: plc`, over `dds`: the same limit for each client. Default: a quarter of `depth`. Other "
+        "`server: plc`, over `dds`: the same limit per client. Default: a quarter of `depth`. Other "
         "backends do not distinguish clients.",
         ge=1,
         le=1000,
@@ -592,8 +592,8 @@ class ServiceSettings(_CallSettings):
     )
     fallback: dict[str, Any] | None = _f(
         None,
-        "`server: plc`: the response to a caller when the PLC gives none, as in "
-        "`{success: false, message: PLC is not running}`. Default: no response; in ROS 1, an error.",
+        "`server: plc`: the response to a caller when the PLC gives none, such as `{success: false, "
+        "message: PLC is not running}`. Default: no response; in ROS 1, an error.",
     )
 
 

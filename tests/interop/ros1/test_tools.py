@@ -117,5 +117,5 @@ def test_rosnode_kill_is_reported(ros1: Graph, cell: Backend) -> None:
     wait_for(lambda: "/cell" in ros1.run("rosnode", "list"))
     assert "killed" in ros1.run("rosnode", "kill", "/cell")
     wait_for(lambda: inbox.status().code == "ROS015")
-    assert re.search("told node /cell to shut down", inbox.status().reason)
+    assert re.search("asked node /cell to shut down", inbox.status().reason)
     wait_for(lambda: "/cell" not in ros1.run("rosnode", "list"))

@@ -34,7 +34,7 @@ def read_options(options: Mapping[str, object]) -> tuple[list[str], bool]:
     """
     for key in options:
         if key not in ("ros_args", "parameter_services"):
-            what = f"ros.rclpy has no key {key!r}; its keys are ros_args and parameter_services"
+            what = f"unknown key {key!r} in ros.rclpy; use ros_args or parameter_services"
             raise BackendError("ROS013", what)
     arguments = options.get("ros_args", ())
     if not isinstance(arguments, list | tuple) or not all(isinstance(one, str) for one in arguments):

@@ -207,7 +207,7 @@ class RospyBackend(BaseNode):
                 key = ("serve", endpoint.topic)
                 if kind is RospyServer and self._topics.setdefault(key, endpoint) is not endpoint:
                     what = f"{self.node} already serves {endpoint.topic}"
-                    raise BackendError("ROS002", what, remedy="ROS 1 allows only one server per service.")
+                    raise BackendError("ROS002", what, remedy="Use one server per service in ROS 1.")
             else:
                 shared = self._shared(Incoming if kind is RospySubscription else Outgoing, topic, type_name)
                 endpoint = kind(*receiver, shared, qos)
@@ -224,7 +224,7 @@ class RospyBackend(BaseNode):
             known = self._topics[kind.direction, full] = kind(self, full, definition)
         elif known.definition.type_name != name:
             what = f"{self.node} already uses {full} as {known.definition.type_name}, not {name}"
-            raise BackendError("ROS002", what, remedy="ROS 1 allows only one type per topic in a node.")
+            raise BackendError("ROS002", what, remedy="Use one type per topic in a ROS 1 node.")
         return known
 
     def service_md5(self, type_name: str) -> str:
@@ -304,7 +304,9 @@ class RospyBackend(BaseNode):
         if "same name" in why:
             self._end(f"another node named {self.node} has started, and ROS 1 keeps the newer one")
         else:
-            self._end(f"{caller or 'a node'} told node {self.node} to shut down ({why or 'no reason given'})")
+            self._end(
+                f"{caller or 'a node'} asked node {self.node} to shut down ({why or 'no reason given'})"
+            )
 
     def moved(self, uri: str) -> None:
         """Leave: another node has this node's name."""

@@ -77,7 +77,7 @@ def session_config(options: Mapping[str, object], environment: Mapping[str, str]
     config = _base(options, environment)
     if (mode := options.get("mode")) is not None:
         if mode not in _MODES:
-            raise _bad("mode", f"{mode!r} is not a mode; use {' or '.join(_MODES)}")
+            raise _bad("mode", f"{mode!r} is not a valid mode; use {' or '.join(_MODES)}")
         _insert(config, "mode", mode)
     for key in ("connect", "listen"):
         if (value := options.get(key)) is not None:
