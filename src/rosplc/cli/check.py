@@ -197,7 +197,7 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
         yield "waiting", f"at most {plan.depth} calls, {plan.per_client} per caller"
         yield "expires", f"a call that has waited for {format_duration(plan.expire_after_ns)}"
         if plan.min_interval_ns:
-            yield "passes on", f"one call per {plan.min_interval_ns / 1e6:g} ms at most"
+            yield "passes on", f"at most one call per {plan.min_interval_ns / 1e6:g} ms"
         fallback = "nothing" if plan.fallback is None else str(plan.response.to_dict(plan.fallback))
         yield "unanswered", f"the caller gets {fallback}"
     elif isinstance(plan, ActionPlan) and plan.server == "plc":
@@ -279,7 +279,7 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
         yield "too large", "cut and counted" if plan.truncate else "refused and counted"
     sieve = ["only what changed"] if plan.on_change else []
     if plan.min_interval_ns:
-        sieve.append(f"one message per {plan.min_interval_ns / 1e6:g} ms at most")
+        sieve.append(f"at most one message per {plan.min_interval_ns / 1e6:g} ms")
     if sieve:
         yield "passes on", ", ".join(sieve)
     if plan.print:

@@ -592,7 +592,7 @@ static PyObject *loop_close(LoopObject *self, PyObject *unused)
 static PyMethodDef loop_methods[] = {
     {"receive", (PyCFunction)loop_receive, METH_VARARGS,
      "receive(fd, owner, capsule): receive from a publisher, into a sink or (None) for wait()."},
-    {"divert", (PyCFunction)loop_divert, METH_VARARGS, "divert(fd, capsule): pass what is received to another sink, or to none."},
+    {"divert", (PyCFunction)loop_divert, METH_VARARGS, "divert(fd, capsule): send received data to another sink, or none."},
     {"remove", (PyCFunction)loop_remove, METH_VARARGS, "remove(fd): stop serving a connection, before it is closed."},
     {"wait", (PyCFunction)loop_wait, METH_NOARGS,
      "wait() -> [(owner, messages, why it ended or None)], what no sink accepted; empty after wake()."},
@@ -675,7 +675,7 @@ static PyObject *sender_write(Sender *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "y#p:write", &payload, &size, &latch))
         return NULL;
     if ((size_t)size > self->loop->most)
-        return PyErr_Format(PyExc_OverflowError, "a message can have at most %lu bytes", (unsigned long)self->loop->most);
+        return PyErr_Format(PyExc_OverflowError, "the message exceeds %lu bytes", (unsigned long)self->loop->most);
     Py_BEGIN_ALLOW_THREADS;
     pthread_mutex_lock(&self->mutex);
     lost = send_all(self, (const uint8_t *)payload, (size_t)size, latch);
