@@ -356,7 +356,7 @@ def test_a_message_beyond_the_memory_ends_its_connection_alone() -> None:
 def test_what_cannot_be_sent_is_refused() -> None:
     """More bytes than a message has are an error, and so are ends that are none."""
     loop: Any = Loop(10)
-    with pytest.raises(OverflowError, match="at most 10 bytes"):
+    with pytest.raises(OverflowError, match="exceeds 10 bytes"):
         Sender(loop).write(bytes(11), False)
     with pytest.raises(TypeError):
         Sender(object())  # type: ignore[arg-type]
