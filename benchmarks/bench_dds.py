@@ -227,7 +227,7 @@ def latencies(rounds: int, over: OverDds, messages: dict[int, int]) -> dict[str,
                 more[f"{part} from"], more[f"{part} to"] = interval(ratios)
             values = [value for each in found for value in each[rate][one]]
             rows.append(measure.row(f"{one}, {rate} Hz", values, **more))
-    waiting = f"{over.waiting}; the PLC spins on a core of its own; a message for each by turns"
+    waiting = f"{over.waiting}; the PLC spins on its own core; both get messages in turn"
     return measure.table("ROS to PLC, PoseStamped of 200 B", "µs", waiting, rows)
 
 
@@ -274,7 +274,7 @@ def run(
         for name, kept in found.items()
         for part in ("both", "user", "system")
     ]
-    waiting = f"{over.waiting} towards the PLC, and look every 1 ms towards ROS; the PLC scans every 1 ms"
+    waiting = f"{over.waiting} towards the PLC, and poll every 1 ms towards ROS; the PLC scans every 1 ms"
     facts = {f"lost, {name}": sum(one["lost"] for one in kept) for name, kept in found.items()}
     for name, kept in found.items():
         facts[f"memory, {name}, MB (PSS)"] = round(statistics.median(one["memory"] for one in kept), 1)

@@ -89,9 +89,9 @@ def run(rounds: int, size: int = SIZE, load: tuple[int, float] = LOAD) -> dict[s
         more = {"ratio": statistics.median(ratios), "lowest": lowest, "highest": highest}
         rows += [measure.row(f"C node, {words}", node), measure.row(f"bridge, {words}", bridge, **more)]
         facts |= {f"lost, {name}, {words}": sum(n for _, n in found[way, name]) for name in contenders}
-    waiting = "both sleep in a waitset towards the PLC, and look every 1 ms towards ROS"
+    waiting = "both sleep in a waitset towards the PLC, and poll every 1 ms towards ROS"
     return measure.report(
-        [measure.table(f"{size} B, {load[0]} Hz", "ms of processor per image", waiting, rows, facts)], before
+        [measure.table(f"{size} B, {load[0]} Hz", "ms of CPU time per image", waiting, rows, facts)], before
     )
 
 

@@ -77,7 +77,7 @@ def one_way(way: str, rounds: int, load: tuple[int, int, float]) -> dict[str, An
         more = {"bridge to it": statistics.median(ratios), "lowest": lowest, "highest": highest}
         rows.append(measure.row(name, values, **(more if name != "bridge" else {})))
     facts = {f"lost, {name}": sum(one["lost"] for one in kept) for name, kept in found.items()}
-    waiting = "all sleep until the middleware wakes them, and look every 1 ms towards ROS"
+    waiting = "all sleep until the middleware wakes them, and poll every 1 ms towards ROS"
     return measure.table(
         f"{load[0]} topics x {load[1]} Hz {way}, CPU", "µs per message", waiting, rows, facts
     )

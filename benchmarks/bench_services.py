@@ -130,8 +130,8 @@ def one_backend(name: str, rounds: int, calls: int) -> dict[str, Any]:
         more = {"to bare": statistics.median(ratios), "lowest": min(ratios), "highest": max(ratios)}
         rows.append(measure.row(title, list(chain.from_iterable(per_round)), **more, unanswered=lost[title]))
     waiting = (
-        "their backend's threads wake the client and the servers; the bridge polls every 1 ms; a PLC task "
-        "sleeps between scans, presents a call in one scan and answers it in the next; ratios compare the "
+        "threads of the backend wake the client and the servers; the bridge polls every 1 ms; a PLC task "
+        "sleeps between scans, receives a call in one scan and responds in the next; ratios compare the "
         "medians of each round"
     )
     return measure.table(f"{name}: {TYPE}, there and back", "µs", waiting, rows)

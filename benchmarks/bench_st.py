@@ -120,7 +120,7 @@ def compare(name: str, case: Case, layout: Layout, values: Mapping[str, list[flo
         rows.append(measure.row(f"C core, {verb}", core, ratio=1.0))
         rows.append(measure.row(f"ST, {verb}", text, ratio=measure.median_ratio(text, core)))
     facts = {"record": f"{layout.size} B", "type": case.type_name}
-    return measure.table(f"{name}, one cycle", "ns", "nobody waits", rows, facts)
+    return measure.table(f"{name}, one cycle", "ns", "no waiting", rows, facts)
 
 
 def run(rounds: int, cases: Mapping[str, Case] | None = None) -> dict[str, Any]:

@@ -128,7 +128,7 @@ def run(
             found.setdefault(name, []).append(value)
     rows = []
     for unit, mine, anchor in (
-        ("`rosplc --help`, ms of processor", "help", "an empty typer program"),
+        ("`rosplc --help`, ms of CPU time", "help", "an empty typer program"),
         ("bridge, MB of memory (PSS)", "bridge", "Python with a participant"),
     ):
         its = found["empty" if mine == "help" else "participant"]

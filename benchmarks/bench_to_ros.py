@@ -258,8 +258,8 @@ def heads(sizes: Sequence[int], rounds: int, seconds: float, plc: Path) -> dict[
         more = {} if before is None else {"ns/head": 1e3 * (cost - before[1]) / (number - before[0])}
         before = (number, cost)
         rows.append(measure.row(f"{number} heads", found, **more))
-    waiting = "the thread sleeps 1 ms between two looks; the PLC scans every 10 ms and beats on every line"
-    return measure.table("A tick: wake up, look at all heads", "µs of processor", waiting, rows)
+    waiting = "the thread sleeps for 1 ms between polls; the PLC scans every 10 ms and beats on every line"
+    return measure.table("A tick: wake up, poll all heads", "µs of CPU time", waiting, rows)
 
 
 def active(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, Any]:

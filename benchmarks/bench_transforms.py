@@ -28,7 +28,7 @@ FRAMES, CHAIN, HERTZ = 100, 10, 100
 _PERIOD_NS = 10**9 // HERTZ
 ONE, EACH, ROSBAGS, POSE = (
     "received, 100 transforms in a message",
-    "received, each in a message of its own",
+    "received, 100 transforms in 100 messages",
     "rosbags alone, 100 transforms in a message",
     "a pose through 10 frames, interpolated",
 )
@@ -119,7 +119,7 @@ def run(rounds: int) -> dict[str, Any]:
         "of_a_core_at_100_hz": {name: median[name] * HERTZ / 1e6 for name in (ONE, EACH, POSE)},
         "times_rosbags": measure.median_ratio(values[ONE], values[ROSBAGS]),
     }
-    waiting = "nobody waits: calls in one thread, without a middleware"
+    waiting = "no waiting: calls in one thread, without a middleware"
     return measure.report([measure.table("100 frames", "us", waiting, rows, facts)], before)
 
 

@@ -114,7 +114,7 @@ def run(rounds: int, batch: int = BATCH) -> dict[str, Any]:
             )
             ratio = measure.median_ratio(found[key], found["raw"])
             rows.append(measure.row(key, found[key], ratio=ratio, lowest=lowest, highest=highest))
-        tables.append(measure.table(name, "µs of processor per round trip", "no waiting", rows))
+        tables.append(measure.table(name, "µs of CPU time per round trip", "no waiting", rows))
     return measure.report(tables, before)
 
 

@@ -108,7 +108,7 @@ def views(rounds: int, topics: int, rate: int, seconds: float, settle: float) ->
         if ratios:  # else the machine is too busy for anything to arrive, and the row is left out
             values = [age for one in groups for age in one]
             late.append(measure.row(f"beside {name}", values, ratio=statistics.median(ratios)))
-    waiting = "top polls every 500 ms, web as often as a page asks, record and the bridge every 1 ms"
+    waiting = "top polls every 500 ms, web whenever its page requests data, record and the bridge every 1 ms"
     return [
         measure.table(f"{title}: CPU", "% of a core", waiting, beside, facts),
         measure.table(f"{title}: PLC → bridge → DDS", "µs", waiting, late),

@@ -72,7 +72,7 @@ def run(rounds: int, channels: int = CHANNELS, updates: int = UPDATES) -> dict[s
                 ages += page.evaluate("window.ages")
                 page.context.close()
         browser.close()
-    waiting = "the server looks at a message 20 times a second, at all channels twice, and sends 10 times"
+    waiting = "the server polls a message 20 times per second and all channels twice, and sends 10 times"
     rows = [
         measure.row("page loaded, every channel drawn", loaded),
         measure.row("a value, written to shown", ages),

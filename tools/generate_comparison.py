@@ -44,7 +44,7 @@ def round_trips(report: dict[str, Any]) -> str:
     where, lines = report["environment"], []
     for table in report["tables"]:
         lines += [
-            f"| {table['title']}, {table['unit']} | median | p99 | ratio | its rounds | unanswered |",
+            f"| {table['title']}, {table['unit']} | median | p99 | ratio | ratios of the rounds | unanswered |",
             "| --- | ---: | ---: | ---: | ---: | ---: |",
             *(
                 f"| {row['name']} | {row['median']:.0f} | {row['p99']:.0f} | {row['to bare']:.2f} "
@@ -70,7 +70,7 @@ def main() -> int:
     """Write or compare the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("report", type=Path, nargs="?", default=REPORT)
-    parser.add_argument("--verify", action="store_true", help="only report whether the page is up to date")
+    parser.add_argument("--verify", action="store_true", help="only check whether the page is up to date")
     arguments = parser.parse_args()
     report = Report.from_json(arguments.report.read_text(encoding="utf-8"), str(arguments.report))
     status = write_or_verify(PERFORMANCE, services(), verify=arguments.verify)

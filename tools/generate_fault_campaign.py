@@ -57,21 +57,21 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
     lines += [
         "### Recovery",
         "",
-        "Time from the end of the fault until a message sent afterwards has arrived on every topic. "
-        "If a process was killed, the fault ends when the new process starts. The table contains only runs "
-        "whose PLC and ROS nodes were forked.",
+        "Recovery time: from the end of the fault until a message that was sent after it has arrived on every "
+        "topic. If a process was killed, the fault ends when the new process starts. Only runs whose PLC and "
+        "ROS nodes were forked are in this table.",
         "",
         *recovery_table(runs),
         "",
         "![Each round's recovery time, by kind of fault](../images/soak/recovery.svg)",
         "",
-        "### What each process held",
+        "### Resources of each process",
         "",
-        f"{processes(runs):,} processes lived to the end of a round. The table shows the longest-lived "
-        "process of each kind: medians of the first and last quarters of its life, or for memory of the "
-        "second half, after it has settled. The bridge's descriptors exclude the objects' locks. A rise is a "
-        "leak if it exceeds a threshold and passes the Mann-Kendall test for a trend. "
-        f"Leaks: {len(leaks) or 'none'}.",
+        f"{processes(runs):,} processes survived to the end of a round. The table shows, for each part of each "
+        "kind of cell, the process with the longest life: medians of the first and the last quarter of its "
+        "life, for memory of its second half, after it has settled. Descriptors of the bridge exclude the "
+        "locks of objects. A rise counts as a leak if the Mann-Kendall trend test detects it and it exceeds "
+        f"the allowed size. Leaks: {len(leaks) or 'none'}.",
         "",
         *trend_table(runs),
         "",
@@ -91,7 +91,7 @@ def main() -> int:
     """Write or compare the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("runs", type=Path, nargs="*")
-    parser.add_argument("--verify", action="store_true", help="only report whether the page is up to date")
+    parser.add_argument("--verify", action="store_true", help="only check whether the page is up to date")
     arguments = parser.parse_args()
     if arguments.runs:
         runs = [compact(json.loads(path.read_text(encoding="utf-8"))) for path in arguments.runs]

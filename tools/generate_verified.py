@@ -135,7 +135,7 @@ def parts(table: str, found: Evidence) -> dict[str, str]:
         ValueError: If a marker's statement is not in the table, or one without a marker has no note, or the
             other way round.
     """
-    missing = ["| what | as far as tests go |", "| --- | --- |"]
+    missing = ["| what | what the tests cover instead |", "| --- | --- |"]
     verified = []
     keys = set()
     for line in table.splitlines():

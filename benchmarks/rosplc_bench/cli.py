@@ -33,10 +33,10 @@ EPILOG = """examples:
   rosplc-bench --full --out results  about twelve minutes; report.md, report.json and figures in results/
   rosplc-bench --section experiment --only libmodbus --only rosplc-c
   rosplc-bench --from results/report.json --out pages
-                                     write the pages again, without measuring
+                                     write the report again, without measuring
 
-Contenders in C need gcc. Whatever lacks a program or package is skipped, and the reason is printed. The
-exit status is 0 if every value arrived intact, however slowly.
+Contenders in C need gcc. Contenders that lack a program or package are skipped, and the
+reason is printed. The exit status is 0 if every value arrived intact, however slowly.
 """
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 _SHOWN = 46  # characters beside the progress bar, on a terminal of 80
@@ -56,10 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--full", action="store_true", help="more rounds, and longer ones; about twelve minutes"
     )
     parser.add_argument(
-        "--section", metavar="NAME", action="append", choices=SECTIONS, help="run only this; may be repeated"
+        "--section", metavar="NAME", action="append", choices=SECTIONS, help="run only this section; repeatable"
     )
     parser.add_argument(
-        "--only", metavar="CONTENDER", action="append", default=[], help="run only this; may be repeated"
+        "--only", metavar="CONTENDER", action="append", default=[], help="run only this one; repeatable"
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write report.md, report.json and figures (PNG, SVG) here"

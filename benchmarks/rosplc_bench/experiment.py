@@ -163,9 +163,9 @@ def _ratios(found: Found) -> Table:
                 rows.append((f"{arrangement.title}, {language}", compared, *times, *ratios))
     return Table(
         "Compared with rosplc's channel: time of one cycle, there and back",
-        ("", "compared", "its median run, µs", "rosplc's, µs", "ratio", "ratio of the 99th percentiles"),
+        ("", "compared", "median run, µs", "rosplc, µs", "ratio", "ratio of the 99th percentiles"),
         tuple(rows),
-        "the first column shows the arrangement, the second how the compared side waits",
+        "see the first column for the arrangement, the second for how the compared side waits",
         text("experiment ratios"),
     )
 
@@ -266,17 +266,17 @@ def _summary(found: Found) -> Iterator[str]:
         if (middle := found.median(arrangement.name, ours)) is None:
             continue
         ratios = [
-            f"{cell_text(ratio)} x that of {other}"
+            f"{cell_text(ratio)} times that of {other}"
             for other in others
             if (ratio := found.ratio(arrangement.name, other, ours)) is not None
         ]
         against = f"; its rate is {', '.join(ratios)}" if ratios else ""
         where = f"{arrangement.title}, {language}"
-        yield f"{where}: rosplc takes {cell_text(middle)} µs there and back{against}."
+        yield f"{where}: rosplc takes {cell_text(middle)} µs per round trip{against}."
     if cyclic := [part for each in CYCLIC if (part := _range(found, each))]:
         yield (
             f"Polling, a round trip takes {' and '.join(cyclic)}. It depends on the period, not on what "
-            "carries the data: one period, or more if an answer arrives too late."
+            "carries the data: one period, or more if a response arrives too late."
         )
     wrong, runs = _counts(found)
     if runs:
@@ -308,7 +308,7 @@ def _summary_table(found: Found) -> Iterator[str]:
             cells += f"{cell_text(found.median(name, contender))}{'*' if star else ' '}".rjust(_COLUMN)
         yield f" {title[:_TITLE]:{_TITLE}}{cells}".rstrip()
     if stars:
-        yield " * sleeps in the socket: spinning is not possible there"
+        yield " * sleeps in the socket, because it cannot spin"
     yield ""
 
 
@@ -365,7 +365,7 @@ def render_waiting(data: Mapping[str, Any]) -> Page:
         f"{title} (µs)",
         ("", "where", "waits", "median run", "p50", "p99", "CPU of both", "CPU, % of one core"),
         tuple(rows),
-        "the second and third columns show where and how",
+        "see the second and third columns",
         f"A cycle in the thesis: {MODBUS_S[1000]:.3f} ms over Modbus TCP, {SHARED_MEMORY_S[1000]:.3f} ms "
         "over shared memory.",
     )
@@ -396,7 +396,7 @@ def _waiting_summary(found: Found) -> Iterator[str]:
     if busy is not None and alone is not None:
         yield (
             "Shared memory and a semaphore on one core, polling without a pause: "
-            f"{cell_text(busy / 1000)} ms a cycle, all but {cell_text(alone)} µs of it waiting "
+            f"{cell_text(busy / 1000)} ms per cycle, of which all but {cell_text(alone)} µs is waiting "
             f"(in the thesis: {SHARED_MEMORY_S[1000]:.2f} ms)."
         )
 

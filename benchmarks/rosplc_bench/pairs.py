@@ -58,7 +58,7 @@ class Way(NamedTuple):
 
 _SPIN = (
     "each process has its own core and polls without a pause (spins) if the contender allows it; the "
-    "column shows which block instead"
+    "column shows which contenders block instead"
 )
 _BLOCK = "both processes share one core, as on a BeagleBone, and sleep until they are woken"
 _APART = "each process has its own core and sleeps until it is woken"
@@ -85,7 +85,7 @@ WAITING = (ONE_CORE_BUSY, ONE_CORE_YIELD, ONE_CORE_CYCLE, ONE_CORE, TWO_CORES_BL
 
 SPINS = Way("spin", "spins")
 BLOCKS = Way("block", "blocks in the socket")
-RINGS = Way("block", "sleeps on a named semaphore beside it")
+RINGS = Way("block", "sleeps on an additional named semaphore")
 CYCLE = Way("cycle", "polls once per period")
 
 _TURN_SECONDS = 320.0  # a little longer than the processes' own watchdog

@@ -32,7 +32,7 @@ NAMES = {
     "semaphore": "shared memory and semaphore (C)",
     "plain": "shared memory without a lock (C)",
     "modbus-slave": "Modbus TCP, PLC is the server (C)",
-    "modbus-master": "Modbus TCP, PLC asks in its task (C)",
+    "modbus-master": "Modbus TCP, PLC is the client (C)",
     "rosplc-python": "rosplc (Python)",
     "opcua-python": "OPC UA (Python)",
 }
@@ -339,7 +339,7 @@ def _whole(data: Mapping[str, Any], runs: _Runs) -> Table:
     header = (
         "all conditions together",
         *("messages seen", "torn", "scans", "scans missed", "CPU of both sides, %"),
-        *("other side stopped: longest call, ms", "scans missed then", "messages torn then"),
+        *("other side stopped: longest call, ms", "scans missed", "messages torn"),
     )
     return _table("Messages and scans", header, rows, text("scan-cycle whole", stall=data["stall_ms"]))
 
@@ -380,14 +380,14 @@ def _summary(runs: _Runs, data: Mapping[str, Any]) -> tuple[str, ...]:
         if age is not None and cost is not None:
             lines.append(
                 f"A task of {cycle} ms sees a message {age / 1000:.1f} ms after it was sent over "
-                f"{NAMES[method]}, and pays {cost:.1f} µs per scan."
+                f"{NAMES[method]}, at a cost of {cost:.1f} µs per scan."
             )
     for one in data["stalls"]:
         if one["method"] in ("rosplc", "semaphore", "plain"):
             lines.append(
-                f"The other side stops for {data['stall_ms']:g} ms inside a message, "
-                f"{NAMES[one['method']]}: longest call of the task {one['longest_ns'] / 1e6:.3g} ms, "
-                f"torn messages {one['torn']}."
+                f"If the other side stops for {data['stall_ms']:g} ms inside a message, over "
+                f"{NAMES[one['method']]}, the task's longest call takes {one['longest_ns'] / 1e6:.3g} ms, "
+                f"and {one['torn']} messages are torn."
             )
     return tuple(lines)
 

@@ -470,7 +470,7 @@ def _summary(payload: Medians, topics: Medians) -> tuple[str, ...]:
     if "rosplc" in payload and "memcpy" in payload:
         size = max(payload["rosplc"])
         ratio = payload["rosplc"][size] / payload["memcpy"][size]
-        lines.append(f"{size_text(size)} through rosplc take {ratio:.2f} times as long as memcpy in and out.")
+        lines.append(f"{size_text(size)} through rosplc takes {ratio:.2f} times as long as memcpy in and out.")
     batched, single = topics.get("rosplc-batched"), topics.get("rosplc-single")
     if batched and single:
         most = max(batched)
@@ -484,7 +484,7 @@ def _summary(payload: Medians, topics: Medians) -> tuple[str, ...]:
 SECTION = Section(
     name="sweeps",
     title="By size of the message, and by number of topics",
-    question="From which size on does copying matter, and how many topics can be carried?",
+    question="From what size does copying matter, and how many topics can be carried?",
     run=run,
     render=render,
     contenders=tuple(dict.fromkeys((*PAYLOAD_NAMES, *TOPIC_NAMES))),
