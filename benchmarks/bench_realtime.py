@@ -107,7 +107,7 @@ def table_of(title: str, rounds: list[dict[str, list[float]]]) -> dict[str, Any]
 def run(rounds: int, rate: int = 200, count: int = 400) -> dict[str, Any]:
     """Measure in ``rounds`` rounds; returns a :func:`measure.report`."""
     if not permitted():
-        raise SystemExit("this user is not permitted to use SCHED_FIFO (see docs/howto/real-time.md): nothing to compare")
+        raise SystemExit("SCHED_FIFO is not permitted (see docs/howto/real-time.md): nothing to compare")
     before = measure.environment()
     prefixes = {name: f"bench-{name[0]}-{secrets.token_hex(4)}" for name in SETTINGS}
     cores = len(os.sched_getaffinity(0))

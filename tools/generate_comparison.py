@@ -44,7 +44,7 @@ def round_trips(report: dict[str, Any]) -> str:
     where, lines = report["environment"], []
     for table in report["tables"]:
         lines += [
-            f"| {table['title']}, {table['unit']} | median | p99 | ratio | ratios of the rounds | unanswered |",
+            f"| {table['title']}, {table['unit']} | median | p99 | ratio | all rounds | unanswered |",
             "| --- | ---: | ---: | ---: | ---: | ---: |",
             *(
                 f"| {row['name']} | {row['median']:.0f} | {row['p99']:.0f} | {row['to bare']:.2f} "

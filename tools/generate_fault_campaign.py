@@ -57,9 +57,9 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
     lines += [
         "### Recovery",
         "",
-        "Recovery time: from the end of the fault until a message that was sent after it has arrived on every "
-        "topic. If a process was killed, the fault ends when the new process starts. Only runs whose PLC and "
-        "ROS nodes were forked are in this table.",
+        "The recovery time ends when a message that was sent after the fault has arrived on every topic. If "
+        "a process was killed, the fault ends when the new process starts. Only runs whose PLC and ROS nodes "
+        "were forked are in this table.",
         "",
         *recovery_table(runs),
         "",
@@ -67,11 +67,11 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "",
         "### Resources of each process",
         "",
-        f"{processes(runs):,} processes survived to the end of a round. The table shows, for each part of each "
-        "kind of cell, the process with the longest life: medians of the first and the last quarter of its "
-        "life, for memory of its second half, after it has settled. Descriptors of the bridge exclude the "
-        "locks of objects. A rise counts as a leak if the Mann-Kendall trend test detects it and it exceeds "
-        f"the allowed size. Leaks: {len(leaks) or 'none'}.",
+        f"{processes(runs):,} processes survived to the end of a round. For each part of each kind of cell, "
+        "the table shows the process with the longest life: medians of the first and the last quarter of "
+        "its life; for memory, only of its second half, after it has settled. Descriptors of the bridge "
+        "exclude the locks of objects. A rise counts as a leak if the Mann-Kendall trend test detects it "
+        f"and it exceeds the allowed size. Leaks: {len(leaks) or 'none'}.",
         "",
         *trend_table(runs),
         "",

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--full", action="store_true", help="more rounds, and longer ones; about twelve minutes"
     )
     parser.add_argument(
-        "--section", metavar="NAME", action="append", choices=SECTIONS, help="run only this section; repeatable"
+        "--section", metavar="NAME", action="append", choices=SECTIONS, help="run only this one; repeatable"
     )
     parser.add_argument(
         "--only", metavar="CONTENDER", action="append", default=[], help="run only this one; repeatable"

@@ -470,7 +470,7 @@ def _summary(payload: Medians, topics: Medians) -> tuple[str, ...]:
     if "rosplc" in payload and "memcpy" in payload:
         size = max(payload["rosplc"])
         ratio = payload["rosplc"][size] / payload["memcpy"][size]
-        lines.append(f"{size_text(size)} through rosplc takes {ratio:.2f} times as long as memcpy in and out.")
+        lines.append(f"{size_text(size)} through rosplc takes {ratio:.2f} times as long as memcpy both ways.")
     batched, single = topics.get("rosplc-batched"), topics.get("rosplc-single")
     if batched and single:
         most = max(batched)
