@@ -49,59 +49,59 @@ Configuration:
     capacity of a string | layout.nodes.MAX_STRING | bytes | LAY001
     capacity of a sequence | layout.nodes.MAX_SEQUENCE | elements | LAY001
 Message definitions:
-    text of one definition, with the types that it needs | model.parse.MAX_TEXT | bytes | TYP007
-    fields and constants in one definition | model.parse.MAX_FIELDS | fields | TYP007
+    text of one definition, including the types that it uses | model.parse.MAX_TEXT | bytes | TYP007
+    fields and constants in it | model.parse.MAX_FIELDS | fields | TYP007
     name of a type | model.parse.MAX_NAME | characters | TYP001
-    nested types | model.store.MAX_DEPTH | levels | TYP007
+    nesting of types | model.store.MAX_DEPTH | levels | TYP007
     definitions below one folder | model.folders.MAX_FILES | files | TYP008
-    files of any kind below one folder | model.folders.MAX_ENTRIES | files | TYP008
+    files of any kind below it | model.folders.MAX_ENTRIES | files | TYP008
     fields of one record, including those of nested types | layout.nodes.MAX_ITEMS | fields | LAY003
     size of one record | layout.nodes.MAX_RECORD | bytes | LAY003
-    nested sequences | codec.compile.MAX_LOOPS | levels | TYP007
+    nesting of sequences | codec.compile.MAX_LOOPS | levels | TYP007
 Objects in shared memory:
     name of an object | shm.constants.MAX_NAME | characters | shortened with a hash
     size of an object | shm.constants.MAX_OBJECT_SIZE | bytes | SHM108
     size of a record | shm.constants.MAX_RECORD_SIZE | bytes | SHM108
     self-description | shm.constants.MAX_DESCRIPTION_SIZE | bytes | SHM108
     slots | shm.constants.MAX_SLOTS | slots | SHM108
-    visible readers | shm.constants.READER_LINES | readers | the others are not visible
-    repeated attempts to take a message | shm.constants.MAX_RETRIES | attempts | the last good message is kept
-    promised time between beats | shm.constants.MAX_BEAT_MS | ms | treated as the limit
+    readers visible to others | shm.constants.READER_LINES | readers | further readers are invisible
+    retries when reading a message | shm.constants.MAX_RETRIES | retries | the last good message is kept
+    promised time between beats | shm.constants.MAX_BEAT_MS | ms | treated as this value
 ROS:
     name of a topic | ros.names.LONGEST_NAME | characters | ROS005
-    peers listed in a reason | ros._base.MOST_REASONS | peers | the others are counted
+    peers listed in a reason | ros._base.MOST_REASONS | peers | further peers are only counted
     text about one peer | ros._base.LONGEST_REASON | characters | cut off
-    different reasons in the log | ros._base.MOST_REMEMBERED | reasons | no more are logged
+    different reasons in the log | ros._base.MOST_REMEMBERED | reasons | further reasons are not logged
 ROS over DDS:
-    node name in an announcement | ros.dds.peers.LONGEST_NAME | bytes | refused
+    name of a node in an announcement | ros.dds.peers.LONGEST_NAME | bytes | refused
     participants with stored announcements | ros.dds.peers.MOST_PARTICIPANTS | participants | not stored
     domain | ros.dds.backend.MAX_DOMAIN |  | ROS010
 ROS over Zenoh:
     liveliness token | ros.zenoh.keys.LONGEST_TOKEN | characters | refused, counted
     stored tokens | ros.zenoh.keys.MOST_TOKENS | tokens | refused, counted
-    Zenoh configuration file | ros.zenoh.backend.LARGEST_FILE | bytes | ROS013, ROS010
+    Zenoh's configuration file | ros.zenoh.backend.LARGEST_FILE | bytes | ROS013, ROS010
 ROS 1:
     connection header | ros.rospy.handshake.MOST_HEADER | bytes | connection closed
     message | ros.rospy.topics.LARGEST_MESSAGE | bytes | connection closed
     response of a node or master | ros.rospy.master.MOST_ANSWER | bytes | treated as no response
-    call to the node's API | ros.rospy.slave.MOST_REQUEST | bytes | HTTP 413
+    call to the node's XML-RPC interface | ros.rospy.slave.MOST_REQUEST | bytes | HTTP 413
     simultaneous callers | ros.rospy.slave.MOST_CALLERS | connections | connection closed
-    subscribers without a header yet | ros.rospy.slave.MOST_GREETINGS | connections | connection closed
+    subscribers with a pending header | ros.rospy.slave.MOST_GREETINGS | connections | connection closed
 PLC code:
     tasks | plc.build.MOST_TASKS | tasks | PLC003
     name of a topic | plc.build.LONGEST_TOPIC | characters | PLC006
     name of a classic shared memory or semaphore | plc.plan.LONGEST_NAME | characters | PLC007
     list of generated files | plc.delivery.LARGEST_MANIFEST | bytes | PLC001
     generated file that the doctor reads | doctor.code.LARGEST_FILE | bytes | cut off
-Recordings, watching, the page:
-    uncompressed size of a chunk in a recording | recorder.mcap_file.MAX_CHUNK | bytes | REC003
-    watched channels | monitor.watch.MAX_CHANNELS | channels | the others are not shown
-    size of a watched record | monitor.watch.MAX_RECORD | bytes | not shown
-    messages that one page can open | web.live.MAX_MESSAGES | messages | WEB009
-    fields that one page can plot | web.live.MAX_PLOTS | fields | WEB009
+Recordings, monitoring, the web page:
+    uncompressed size of a chunk of a recording | recorder.mcap_file.MAX_CHUNK | bytes | REC003
+    monitored channels | monitor.watch.MAX_CHANNELS | channels | further channels are not shown
+    record of a monitored channel | monitor.watch.MAX_RECORD | bytes | not shown
+    open messages per page | web.live.MAX_MESSAGES | messages | WEB009
+    plotted fields per page | web.live.MAX_PLOTS | fields | WEB009
     path of a field | web.live.MAX_PATH | characters | WEB009
 Errors:
-    each text of an error | errors.LONGEST_TEXT | characters | its middle is omitted
+    each text of an error | errors.LONGEST_TEXT | characters | the middle is omitted
 """
 """Title, then lines: what | where in ``rosplc`` | unit | what happens beyond it."""
 

@@ -23,70 +23,70 @@ LEVELS = {"real": "● real", "own": "◐ own"}
 TABLE = """\
 ROS:
     ros2-topics | ROS 2 nodes exchange topics with a bridge over DDS
-    ros2-types | every bundled type with a wheel crosses between rclpy and the backends
+    ros2-types | rclpy and the backends exchange every bundled type that has a wheel
     ros2-verbs | `rosplc pub`, `echo` and `hz` send and print what ROS 2 does
-    rclpy-calls | services and actions cross both ways over `rclpy`, also after kills
-    cyclone-calls | services and actions cross over `dds` with nodes on Cyclone DDS
-    fastdds-calls | clients and servers on Fast DDS over `dds` are refused
-    learn | types are learnt from running ROS 2 nodes
+    rclpy-calls | services and actions work in both directions over `rclpy`, even after processes are killed
+    cyclone-calls | services and actions work over `dds` with nodes on Cyclone DDS
+    fastdds-calls | clients and servers on Fast DDS are refused over `dds`
+    learn | rosplc learns types from running ROS 2 nodes
     rosout | the bridge's and the PLC's log lines reach `/rosout`
     parameters | parameters set from ROS reach the PLC's memory, or are refused
     ros-time | ROS time and simulated time reach the PLC's memory
     tf | poses equal those of tf2
-    lifecycle | the lifecycle node follows its transitions
-    humble-jazzy | the `rclpy` backend fits Humble and Jazzy
+    lifecycle | the lifecycle node follows the lifecycle transitions
+    humble-jazzy | the `rclpy` backend is compatible with Humble and Jazzy
     colcon | `colcon build` builds the ROS 2 package
-    zenoh | topics and services cross over Zenoh, through routers that die and return
-    zenoh-actions | actions cross over Zenoh
-    ros1 | topics, services and actionlib cross with ROS 1, through masters that die and return
-    ros1-definitions | definitions from the wire are used only if they are sound
-    backends | all backends deliver, order, reconnect and report alike
+    zenoh | topics and services work over Zenoh, even if routers die and restart
+    zenoh-actions | actions work over Zenoh
+    ros1 | topics, services and actionlib work with ROS 1, even if masters die and restart
+    ros1-definitions | definitions from the network are used only if they are valid
+    backends | all backends deliver, order, reconnect and report in the same way
     init | `rosplc init` writes a valid configuration from any graph or recording
     distribution | an installed ROS 2 distribution, the `ros2` command, the launch file \
-| rclpy on Fast DDS (Kilted, from wheels); doubles for Humble and Jazzy
+| rclpy on Fast DDS (Kilted, from wheels); test doubles for Humble and Jazzy
     rmw | nodes on rmw_cyclonedds or rmw_zenoh | independent implementations of their conventions
 Shared memory and conversion:
-    spec | the specification suffices to implement the format
+    spec | the specification is sufficient to implement the format
     vectors | layouts and objects match the specification
     c-layout | layouts equal those of a C compiler
-    conversion | conversion loses nothing, for every bundled type
+    conversion | conversion is lossless for every bundled type
     torn | a reader never accepts a torn message
     core | the C core follows the rules, at full speed and on emulated ARM
-    calls-once | a call is executed at most once, and reported truthfully
+    calls-once | a call is executed at most once, and its outcome is reported correctly
     kills | any process may be killed at any time
-    campaign | nothing is torn, invented, lost uncounted or leaked under faults
+    campaign | under faults, nothing is torn, invented, leaked, or lost without being counted
     objects | objects are owned, adopted, replaced and retired according to the rules
-    hostile | hostile bytes, files, objects and names end in an error
-    limits | all input from outside is limited
+    hostile | hostile bytes, files, objects and names are rejected with an error
+    limits | all input from outside has a limit
     users | other users can neither read nor block a running bridge
 The PLC:
     st-messages | generated Structured Text exchanges messages with a bridge, without loss
-    compilers | other compilers accept the generated text; matiec compiles the OpenPLC v3 and Beremiz blocks
-    call-blocks | blocks of services and actions follow their tables
+    compilers | other compilers read the generated code; matiec compiles the blocks for OpenPLC v3 and Beremiz
+    call-blocks | blocks of services and actions follow their state tables
     blocks-conform | the blocks in C and for OpenPLC behave like those for CODESYS
-    openplc | topics and services cross between a bridge and OpenPLC Runtime 4.1.4, also after kills
-    beremiz | topics and services cross between a bridge and Beremiz' runtime, also after kills
+    openplc | a bridge and OpenPLC Runtime 4.1.4 exchange topics and services, even after kills
+    beremiz | a bridge and the Beremiz runtime exchange topics and services, even after kills
     ros-blocks | blocks for logging, time, parameters and transforms exchange their data with a bridge
-    fail-safe | stale topics get their safe value or substitute
+    fail-safe | a stale topic gets its safe value or substitute
     classic | classic topics work with existing projects
     names | names and literals are valid, and DUTs have the layout of the record
     import-script | the import script creates, updates and removes only its own objects
-    import-script-syntax | the import script is Python 2.7, as CODESYS' IronPython requires
-    plcopen | PLCopenXML has the shape that CODESYS writes
-    example-cell | in the example cell, nothing is done twice or lost
+    import-script-syntax | the import script is valid Python 2.7, as IronPython in CODESYS requires
+    plcopen | the PLCopenXML file has the structure that CODESYS writes
+    example-cell | in the example cell, no step is done twice or lost
     codesys | CODESYS: compiler, development system, runtime \
-| its text is translated to C and executed; [what only CODESYS can tell](#what-only-codesys-can-tell)
+| generated code is translated to C and executed; [what only CODESYS can tell](#what-only-codesys-can-tell)
     openplc-v3 | the runtime of OpenPLC v3 | its compiler accepts the blocks
 Tools and operation:
-    configuration | a configuration error has a line number; a reload applies completely or not at all
+    configuration | a configuration error is reported with its line; a reload applies completely or not at all
     views | views show the true state and change nothing
     web | the web page works, and only for authorized users
     recordings | recordings contain or count every message, and other tools can read them
     recorder-killed | a killed recorder leaves a readable file
-    doctor | the doctor finds each problem, and reports none that does not exist
-    comparison | the comparison's contenders are checked for correct values
-    service | the service has the rights that it needs, and no more
-    real-time-settings | real-time settings reach their threads
+    doctor | the doctor finds each problem, and reports it only where it exists
+    comparison | the values of each contender in the comparison are checked
+    service | the service has only the rights that it needs
+    real-time-settings | real-time settings are applied to the intended threads
     deb | the Debian package installs, upgrades and is removed
     upgrade | a new release replaces an old one under load
     containers | containers share memory; the image and compose file work
@@ -95,9 +95,9 @@ Tools and operation:
     documentation | commands, configurations and programs in the documentation work
     generated | generated pages and drawings are current
     machines | a robot, or a second machine | all peers run on one machine
-    arm | ARM hardware | cross-compiled, run in an emulator, and an exhaustive model of the ordering rules
+    arm | ARM hardware | cross-compilation, an emulator, and an exhaustive model of the ordering rules
     managers | systemd as a service manager, podman, rootless engines \
-| systemd's offline analysis; Docker of Debian 12
+| systemd's offline analysis; Docker from Debian 12
     times | real-time behaviour, times | tests assert that something happens, never how fast
     viewers | Foxglove, PlotJuggler, `ros2 bag`, screen readers, browsers besides Chromium \
 | the libraries mcap and rosbags; axe's rules
