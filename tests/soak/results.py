@@ -251,7 +251,7 @@ def _seconds(value: float) -> str:
 def trend_table(runs: Iterable[Run]) -> list[str]:
     """Return a Markdown table: the longest life of each part of each kind of cell, from begin to end."""
     lines = [
-        "| cell | process | rounds of its longest life | descriptors | threads | memory of its own "
+        "| cell | process | rounds of the longest life | descriptors | threads | private memory "
         "| per 100 rounds |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
     ]

@@ -63,26 +63,26 @@ def _flag(words: str) -> Any:
 class Abilities:
     """What differs between middlewares; ``docs/explanation/backends.md`` shows these as a table."""
 
-    source_stamps: bool = _flag("a message carries the time at which it was sent")
-    matches_qos: bool = _flag("reliability and durability must fit; the reason is reported if they do not")
+    source_stamps: bool = _flag("a message carries the time when it was sent")
+    matches_qos: bool = _flag("reliability and durability must match; the reason is reported if they do not")
     latched_depth: bool = _flag("a late subscriber gets the last `depth` messages (otherwise the last one)")
     latched_by_publisher: bool = _flag(
         "the publisher alone decides whether late subscribers get old messages"
     )
-    tells_definitions: bool = _flag("a peer with another definition of the type is refused, and reported")
+    tells_definitions: bool = _flag("a peer with a different definition of the type is refused and reported")
     checks_outgoing: bool = _flag("bytes that do not fit the type are refused before they are sent")
     checks_incoming: bool = _flag("bytes that do not fit the type are dropped on arrival, and counted")
-    counts_losses: bool = _flag("delivered and counted as lost add up to what was sent")
+    counts_losses: bool = _flag("messages delivered and messages counted as lost add up to those sent")
     drops_on_full_links: bool = _flag(
-        "a message for a peer whose link is full is lost, `reliable` or not, and the sender is not told"
+        "a message for a peer whose link is full is lost, even if `reliable`, and the sender is not notified"
     )
     shows_qos: bool = _flag("the settings of other nodes' endpoints can be seen")
     shows_hashes: bool = _flag("the type hashes of other nodes' endpoints can be seen")
-    many_nodes: bool = _flag("several nodes fit into one process")
-    sees_callers: bool = _flag("a server sees that the caller of a service has gone")
-    refuses_with_words: bool = _flag("the caller of a service learns that it is refused, and why")
-    remembers_callers: bool = _flag("a call can be answered after a restart of the server's process")
-    has_hub: bool = _flag("nodes find each other through a program that may be restarted (master, router)")
+    many_nodes: bool = _flag("one process can contain several nodes")
+    sees_callers: bool = _flag("a server detects that the caller of a service has exited")
+    refuses_with_words: bool = _flag("the caller of a service is informed of a refusal and its reason")
+    remembers_callers: bool = _flag("a call can be answered after the server's process restarts")
+    has_hub: bool = _flag("nodes find each other through a program that may restart (master, router)")
 
     @classmethod
     def words(cls) -> dict[str, str]:
