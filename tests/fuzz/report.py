@@ -72,7 +72,7 @@ def table(facts: dict[str, Any]) -> str:
     lines = [
         f"{facts['date']}, {facts['machine']}, Python {facts['python']}, {facts['seconds']} s for each:",
         "",
-        "| target | what is fed | inputs | bytes | findings |",
+        "| target | content of the inputs | inputs | bytes | findings |",
         "| --- | --- | ---: | ---: | ---: |",
     ]
     for one in facts["targets"]:

@@ -48,29 +48,29 @@ TARGETS: dict[str, Entry] = {
     "codec": Entry("CDR and ROS 1 bytes, records and damaged plans, for every bundled type", longest=2048),
     "channel": Entry("regions that change under the C core's readers and writers", longest=4096),
     "definition": Entry(
-        "`.msg` text, as from files, from objects and from the wire",
+        "`.msg` text from files, objects and the network",
         "definition",
         ("rosplc.model", "rosplc.layout", "rosplc.codec", "rosbags.typesys"),
     ),
     "configuration": Entry(
-        "`rosplc.yaml`: YAML, settings, types, layouts, the words of `rosplc check`, the PLC project",
+        "`rosplc.yaml`: YAML, settings, types, layouts, the output of `rosplc check`, the PLC project",
         "configuration",
         ("rosplc.config", "rosplc.bridge.ros_side"),
     ),
     "object": Entry(
-        "objects in shared memory: headers, self-descriptions and slots, read by every tool that reads them",
+        "objects in shared memory: headers, self-descriptions and slots, read by all tools",
         "object",
         ("rosplc.shm", "rosplc.described", "rosplc.api", "rosplc.monitor.watch", "rosplc.doctor.objects"),
         8192,
     ),
     "classic": Entry(
-        "classic memories and semaphores that another program made",
+        "classic memory and semaphores created by another program",
         "classic",
         ("rosplc.shm", "rosplc.layout"),
         1024,
     ),
     "ros1": Entry(
-        "ROS 1: connection headers, definitions in them, answers and calls of nodes and masters",
+        "ROS 1: connection headers with definitions, responses and calls of nodes and masters",
         "ros1",
         ("rosplc.ros.rospy", "rosplc.model"),
     ),
@@ -79,7 +79,7 @@ TARGETS: dict[str, Entry] = {
         "DDS: announcements of nodes, type names, user data", "dds", ("rosplc.ros",), 2048, needs=_DDS
     ),
     "plc": Entry(
-        "names, constants, default values and safe messages that try to become PLC code",
+        "names, constants, default values and safe messages that try to inject PLC code",
         "plc",
         ("rosplc.plc", "rosplc.layout"),
         1024,
@@ -88,20 +88,20 @@ TARGETS: dict[str, Entry] = {
         "recordings: MCAP files, as `rosplc replay` opens them", "recording", ("rosplc.recorder", "mcap")
     ),
     "files": Entry(
-        "files beside rosplc's own: PLC code and its manifest, folders of `.msg` files, tokens",
+        "files other than configurations: PLC code and its manifest, folders of `.msg` files, tokens",
         "files",
         ("rosplc.plc.delivery", "rosplc.doctor.code", "rosplc.model", "rosplc.web.access"),
         2048,
     ),
     "arguments": Entry(
-        "ROS arguments of the command line, ROS' environment variables, names",
+        "ROS arguments on the command line, environment variables of ROS, names",
         "arguments",
         ("rosplc.ros", "rosplc.shm.names"),
         1024,
         _DDS,
     ),
     "page": Entry(
-        "what a browser sends to `rosplc web`",
+        "requests of a browser to `rosplc web`",
         "page",
         ("rosplc.web", "rosplc.layout"),
         2048,
