@@ -24,21 +24,21 @@ All derive from `RosplcError` and have `code`, `what`, `where` and `remedy`. The
 # Package → the text before its names, and the names; none for all that it exports.
 PACKAGES = {
     "rosplc": (
-        "Channels for any program on the machine: they need neither ROS nor a configuration, since an\n"
-        "object in shared memory describes itself. Configurations, loaded, checked and turned into PLC\n"
-        "code. Importing rosplc loads no middleware.",
+        "Channels for any program on the machine, without ROS or a configuration: an object in shared\n"
+        "memory describes itself. Other functions load and check a configuration and generate PLC code.\n"
+        "Importing rosplc loads no middleware.",
         "attach Channel topics ObjectState bind Binding bind_service bind_action load_project Project "
         "ConfigErrors check generate Delivery RecordView SlotInfo Direction include_dir",
     ),
-    "rosplc.virtual_plc": ("A virtual PLC with scan cycles over the same objects, for laptops and CI.", ""),
+    "rosplc.virtual_plc": ("A virtual PLC: scan cycles on the same objects as a PLC, for laptops and CI.", ""),
     "rosplc.model": ("Message types, from a distribution's definitions or from `.msg` text.", "TypeStore"),
     "rosplc.layout": (
-        "The layout of a type in memory: offsets, capacities, the layout id.",
+        "The layout of a type in memory: offsets, capacities, layout id.",
         "compute_layout Layout Limits",
     ),
     "rosplc.codec": ("Conversion between wire bytes and records.", "Codec Wire"),
     "rosplc.ros": (
-        "Access to ROS for programs without ROS: a node over any backend.",
+        "The ROS side for programs without ROS: an independent node over any backend.",
         "open_backend Backend Endpoint Publisher Subscription Qos EndpointStatus",
     ),
 }
