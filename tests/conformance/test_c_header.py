@@ -15,7 +15,7 @@ from rosplc.layout.c_header import c_header
 from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import DISTROS, TypeStore
 
-pytestmark = pytest.mark.verifies("c-layout", real="gcc for x86-64 and both ARMs")
+pytestmark = pytest.mark.verifies("c-layout", real="gcc for x86-64 and for 32-bit and 64-bit ARM")
 
 COMPILERS = [
     pytest.param("gcc", id="x86-64"),

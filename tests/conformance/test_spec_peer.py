@@ -15,7 +15,7 @@ from rosplc.shm import Attached, Description, Direction, Namespace, OwnedChannel
 from rosplc.shm.constants import WRITER_LINE
 from tests.conformance.test_regions import HOSTILE, TOPIC, VALID, place
 
-pytestmark = pytest.mark.verifies("spec", own="a C peer by an author who had only the specification")
+pytestmark = pytest.mark.verifies("spec", own="a C peer written from the specification alone")
 
 MESSAGES = 30_000
 SIZE = 256

@@ -19,7 +19,7 @@ from rosplc.shm import Answerer, Caller, Namespace, Part, attach
 from rosplc.shm import constants as spec
 from tests.lib.channels import acting_reader, open_service, pattern, start_child, until
 
-pytestmark = pytest.mark.verifies("calls-once", own="kills at each step")
+pytestmark = pytest.mark.verifies("calls-once", own="processes killed at each step")
 
 _COMMON = """
 import os, signal, sys, time

@@ -27,7 +27,7 @@ from rosplc.shm import Namespace
 from tests.crash.call_peers import ACTION, CALLS, GOALS_FROM_ROS, GOALS_OF_PLC, TYPE
 from tests.lib.waiting import WATCHDOG_S, wait_for
 
-pytestmark = pytest.mark.verifies("calls-once", own="kills at each step")
+pytestmark = pytest.mark.verifies("calls-once", own="processes killed at each step")
 
 ROOT = Path(__file__).resolve().parents[2]
 ROLES = ("bridge", "plc", "robot")

@@ -14,7 +14,7 @@ from tests.classic_cell import ClassicCell, build_plc
 from tests.lib.channels import until
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.verifies("classic", own="kills")
+pytestmark = pytest.mark.verifies("classic", own="killed processes")
 
 # A holder that a busy machine keeps waiting for longer is taken for a dead one, and its message may be torn.
 RECOVER = "recover_after: 1s, wait: 2ms"

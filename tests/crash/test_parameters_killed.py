@@ -13,7 +13,7 @@ from tests.lib.waiting import repeat_until
 from tests.verification.joint import Joint, made_joint, ros_side
 from tests.verification.plc_cell import store
 
-pytestmark = [pytest.mark.timeout(300), pytest.mark.verifies("parameters", own="kills")]
+pytestmark = [pytest.mark.timeout(300), pytest.mark.verifies("parameters", own="killed processes")]
 
 CONFIG = """bridge: params
 ros: {SIDE}

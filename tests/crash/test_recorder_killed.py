@@ -21,7 +21,7 @@ from tests.lib.isolated import mounted
 from tests.lib.waiting import WATCHDOG_S
 from tests.unit.recorder.making import Feed, read_from_the_front
 
-pytestmark = pytest.mark.verifies("recorder-killed", own="SIGKILL, full disks, cut files")
+pytestmark = pytest.mark.verifies("recorder-killed", own="SIGKILL, full disks, truncated files")
 
 _ROOT = Path(__file__).resolve().parents[2]
 

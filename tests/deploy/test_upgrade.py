@@ -15,7 +15,7 @@ from tests.peers.release import OLD, old_release
 from tests.soak.cell import Cell
 from tests.soak.messages import OUT, TOPICS
 
-pytestmark = pytest.mark.verifies("upgrade", own="two wheels")
+pytestmark = pytest.mark.verifies("upgrade", own="wheels of two releases")
 
 WATCHDOG_S = 120.0
 

@@ -22,7 +22,7 @@ from rosplc.virtual_plc import ReadBlock, WriteBlock
 from tests.interop.graphs import LOCAL, free_domain
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.verifies("doctor", own="each problem staged")
+pytestmark = pytest.mark.verifies("doctor", own="simulation of each problem")
 
 INT, LONG = "std_msgs/msg/Int32", "std_msgs/msg/Int64"
 TOPICS = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"

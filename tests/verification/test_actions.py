@@ -14,7 +14,7 @@ from tests.verification.call_cell import ActionCaller, ActionServer, CallCell, m
 from tests.verification.plc_cell import needs_armhf
 from tests.verification.test_services import ABORTED, BUSY, CALL, DELAYED, DONE, ENDS, ERROR, IDLE
 
-pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; kills")
+pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; SIGKILL")
 
 CANCEL, PREEMPT, WITHDRAWN = spec.ASK_CANCEL, spec.ASK_PREEMPT, spec.ASK_WITHDRAWN
 UNKNOWN, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED_GOAL = 0, 2, 3, 4, 5, 6

@@ -19,7 +19,7 @@ from tests.verification.test_services_random import (
     folder,
 )
 
-pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; kills")
+pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; SIGKILL")
 
 __all__ = ["folder"]
 

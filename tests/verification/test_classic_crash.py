@@ -13,7 +13,7 @@ from rosplc_st.machine import LibraryMachine, ProcessMachine
 from tests.verification.classic_cell import TOPICS, ClassicCell
 from tests.verification.plc_cell import READ, WRITE, pattern
 
-pytestmark = pytest.mark.verifies("classic", own="kills")
+pytestmark = pytest.mark.verifies("classic", own="killed processes")
 
 
 @pytest.fixture

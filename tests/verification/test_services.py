@@ -13,7 +13,7 @@ from rosplc.shm.constants import ErrorNumber
 from tests.verification.call_cell import CallCell, Caller, Server, VirtualMachine, made_cell
 from tests.verification.plc_cell import needs_armhf
 
-pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; kills")
+pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; SIGKILL")
 
 DELAYED = pytest.param("delayed", marks=pytest.mark.foreign)
 ENDS = ("xDone", "xBusy", "xError", "xAborted")

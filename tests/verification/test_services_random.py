@@ -20,7 +20,7 @@ from rosplc.shm.constants import ErrorNumber
 from tests.verification.c_plc import LANGUAGES
 from tests.verification.call_cell import CallCell, Caller, Server, machine_of
 
-pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; kills")
+pytestmark = pytest.mark.verifies("call-blocks", own="translated Structured Text, 64 and 32 bits; SIGKILL")
 
 CLAIM = spec.READER_LINES_OFFSET + spec.READER_LINE["claim"]
 

@@ -16,7 +16,7 @@ from rosplc.ros.memory import open_backend
 from tests.classic_cell import CACHE, Program, build_plc, remove
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.verifies("classic", own="a program after CODESYS' sample")
+pytestmark = pytest.mark.verifies("classic", own="a program based on the CODESYS sample")
 
 PREFIX = "_CODESYS_SharedMemoryTest"
 TYPE = "plc_msgs/msg/DataExchange"

@@ -21,7 +21,7 @@ from tests.lib.waiting import wait_for
 
 pytestmark = [
     pytest.mark.needs(*PACKAGES),
-    pytest.mark.verifies("classic", own="a node after the thesis' class"),
+    pytest.mark.verifies("classic", own="a node based on the class in the thesis"),
 ]
 
 TWIST = "geometry_msgs/msg/Twist"

@@ -23,7 +23,7 @@ from tests.lib.waiting import wait_for
 pytestmark = [
     pytest.mark.needs(*PACKAGES),
     pytest.mark.timeout(120),
-    pytest.mark.verifies("ros1-definitions", real="roscpp", own="publishers that lie"),
+    pytest.mark.verifies("ros1-definitions", real="roscpp", own="publishers of false definitions"),
 ]
 
 STORE = TypeStore.bundled("noetic")

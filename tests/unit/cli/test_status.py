@@ -20,7 +20,7 @@ from tests.channels import Side, layout_of
 from tests.command import rosplc
 from tests.lib.channels import until
 
-pytestmark = pytest.mark.verifies("views", own="every state staged")
+pytestmark = pytest.mark.verifies("views", own="simulation of every state")
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from rosplc.shm import Namespace
 from tests.unit.doctor.cases import CASES
 from tests.unit.doctor.stage import Stage, problems
 
-pytestmark = pytest.mark.verifies("doctor", own="each problem staged")
+pytestmark = pytest.mark.verifies("doctor", own="simulation of each problem")
 
 ROOT = Path(__file__).resolve().parents[3]
 NEEDS_ROOT = {"DOC218"}

@@ -12,7 +12,7 @@ import pytest
 
 from rosplc.monitor.tracked import is_starting, process_words
 
-pytestmark = pytest.mark.verifies("views", own="every state staged")
+pytestmark = pytest.mark.verifies("views", own="simulation of every state")
 
 
 def test_a_bridge_is_there_stopped_ended_or_gone():

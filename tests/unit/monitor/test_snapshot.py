@@ -13,7 +13,7 @@ from rosplc.model import TypeStore
 from rosplc.monitor import find_objects
 from rosplc.shm import Direction, Namespace, OwnedChannel
 
-pytestmark = pytest.mark.verifies("views", own="every state staged")
+pytestmark = pytest.mark.verifies("views", own="simulation of every state")
 
 
 @pytest.fixture

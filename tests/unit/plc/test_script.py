@@ -22,7 +22,7 @@ from tests.unit.plc.fake_scriptengine import (
 )
 from tests.unit.plc.projects import JOINTS, POSE, TWIST, project, read, write
 
-pytestmark = pytest.mark.verifies("import-script", own="a double of the documented object model")
+pytestmark = pytest.mark.verifies("import-script", own="a test double of the documented object model")
 
 FAST, SLOW = PlcTask("Fast", 1_000_000, 1), PlcTask("Slow", 100_000_000, 10, watchdog_ns=50_000_000)
 

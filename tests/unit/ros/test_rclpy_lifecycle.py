@@ -23,7 +23,7 @@ INT32 = "std_msgs/msg/Int32"
 
 pytestmark = [
     pytest.mark.needs(when=importlib.util.find_spec("rclpy") is None, why="the real rclpy is here"),
-    pytest.mark.verifies("lifecycle", own="a double of rclpy"),
+    pytest.mark.verifies("lifecycle", own="a test double of rclpy"),
 ]
 
 

@@ -13,7 +13,7 @@ import pytest
 from tests.doubles.rclpy_signatures import ALSO, BASES, DIFFERENT, EVERY, HANDLES
 from tests.doubles.ros2 import double
 
-pytestmark = pytest.mark.verifies("humble-jazzy", own="a strict double, compared with rclpy's sources")
+pytestmark = pytest.mark.verifies("humble-jazzy", own="a strict test double, checked against rclpy's sources")
 
 REAL = importlib.util.find_spec("rclpy") is not None
 
