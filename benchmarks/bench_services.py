@@ -134,7 +134,7 @@ def one_backend(name: str, rounds: int, calls: int) -> dict[str, Any]:
         "sleeps between scans, receives a call in one scan and responds in the next; ratios compare the "
         "medians of each round"
     )
-    return measure.table(f"{name}: {TYPE}, there and back", "µs", waiting, rows)
+    return measure.table(f"{name}: {TYPE}, round trip", "µs", waiting, rows)
 
 
 def run(rounds: int, wanted: Sequence[str] | None = None, calls: int = CALLS) -> dict[str, Any]:

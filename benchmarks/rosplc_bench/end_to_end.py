@@ -295,10 +295,10 @@ def _times(data: Mapping[str, Any], rows: list[_Row], cycle: float) -> Table:
         spread = (percentile(found, 99), found[-1]) if found else (None, None)
         lines.append((row.name, median(found), *spread, ratio, row.rate(), row.cpu(0), row.cpu(1)))
     header = (
-        *("there and back", "median µs", "p99 µs", "max µs", "÷ rosplc"),
+        *("round trip", "median µs", "p99 µs", "max µs", "÷ rosplc"),
         *("round trips/s", "bridge CPU %", "PLC CPU %"),
     )
-    title = f"There and back, with a PLC task of {cycle:g} ms"
+    title = f"Round trips with a PLC task of {cycle:g} ms"
     waiting, note = text("end-to-end waiting", cycle=cycle), text("end-to-end times", rate=data["rate_hz"])
     return Table(title, header, tuple(lines), waiting, note)
 
@@ -312,10 +312,10 @@ def _losses(rows: list[_Row], cycle: float) -> Table:
         torn = (f"{row.torn_plc:,} of {row.seen:,}", f"{row.torn_ros:,} of {row.received:,}")
         lines.append((row.name, row.carried(), kept, error, row.sent, row.sent - row.back, *torn))
     header = (
-        *("what is lost", "structure on the PLC's side", "strings kept", "64-bit numbers"),
+        *("losses", "structure on the PLC's side", "strings kept", "64-bit numbers"),
         *("sent", "not returned intact", "torn at the PLC", "torn in ROS"),
     )
-    title = f"What is lost on the way, with a PLC task of {cycle:g} ms"
+    title = f"Losses with a PLC task of {cycle:g} ms"
     waiting = text("end-to-end waiting", cycle=cycle)
     return Table(title, header, tuple(lines), waiting, text("end-to-end losses"))
 

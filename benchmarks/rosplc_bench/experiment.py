@@ -122,7 +122,7 @@ def render(data: Mapping[str, Any]) -> Page:
                 ),
                 _by_cycles(
                     each,
-                    "transmission rate (kbit/s, 3,200 bits a cycle)",
+                    "transmission rate (kbit/s, 3,200 bits per cycle)",
                     data["cycles"],
                     text("experiment rates", **thesis),
                     rate=True,
@@ -162,7 +162,7 @@ def _ratios(found: Found) -> Table:
                 compared = f"{entries[other]['title']} ({entries[other]['waits']})"
                 rows.append((f"{arrangement.title}, {language}", compared, *times, *ratios))
     return Table(
-        "Compared with rosplc's channel: time of one cycle, there and back",
+        "Compared with rosplc's channel: time of one cycle (round trip)",
         ("", "compared", "median run, µs", "rosplc, µs", "ratio", "ratio of the 99th percentiles"),
         tuple(rows),
         "see the first column for the arrangement, the second for how the compared side waits",
@@ -200,7 +200,7 @@ def _latencies(arrangement: Mapping[str, Any]) -> Table:
         ("runs with wrong values", lambda each: f"{each['wrong']} of {each['runs']}"),
     )
     return Table(
-        f"{arrangement['title']}: one cycle, there and back (µs)",
+        f"{arrangement['title']}: one cycle (round trip, µs)",
         tuple(name for name, _ in columns),
         tuple(tuple(cell(each) for _, cell in columns) for each in arrangement["contenders"]),
         arrangement["waiting"],
@@ -235,7 +235,7 @@ def _rate_figure(arrangement: Mapping[str, Any]) -> Figure:
         bars.append((each["title"], kbit_per_second(1, middle_us / 1e6)))
     return Figure(
         f"rate-{arrangement['name']}",
-        f"Transmission rate of the median run, 3,200 bits a cycle. {arrangement['title']}",
+        f"Transmission rate of the median run, 3,200 bits per cycle. {arrangement['title']}",
         "",
         "kbit/s",
         tuple(Series(name, (), (value,), group_of(name)) for name, value in bars),
@@ -289,7 +289,7 @@ def _summary_table(found: Found) -> Iterator[str]:
     titles = {name: each["title"] for one in entries.values() for name, each in one.items()}
     if not titles:
         return
-    yield "100 numbers there and back, in microseconds:"
+    yield "Round trip of 100 numbers, in microseconds:"
     for row in range(2):
         yield (
             f" {'':{_TITLE}}" + "".join(f"{_COLUMNS[name][row]:>{_COLUMN - 1}} " for name in entries).rstrip()
@@ -322,7 +322,7 @@ def _range(found: Found, arrangement: Arrangement) -> str:
 
 EXPERIMENT = Section(
     "experiment",
-    "100 numbers there and back",
+    "Round trip of 100 numbers",
     text("experiment question"),
     run,
     render,
@@ -360,7 +360,7 @@ def render_waiting(data: Mapping[str, Any]) -> Page:
             bars.append(Series(label, (), (middle or 0.0,), group_of(label)))
     if not rows:
         return Page()
-    title = "One cycle, there and back, by method of waiting"
+    title = "One cycle (round trip), by method of waiting"
     table = Table(
         f"{title} (µs)",
         ("", "where", "waits", "median run", "p50", "p99", "CPU of both", "CPU, % of one core"),
