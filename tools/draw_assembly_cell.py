@@ -62,7 +62,7 @@ def image() -> str:
         stroke("M232 110H332") + stroke("M332 162H232") + text(282, 102, "DDS", "small"),
         # the machine
         box(20, 286, 920, 142, "area")
-        + text(480, 310, "the physical cell, which survives all crashes", "bold"),
+        + text(480, 310, "physical state: survives all restarts", "bold"),
         box(60, 332, 130, 68) + text(125, 360, "tray") + text(125, 380, "housings, springs", "small"),
         box(334, 332, 172, 68, "full")
         + text(420, 360, "the nest of the press", "on")
@@ -86,7 +86,7 @@ def narrow() -> str:
         text(180, 182, "may be killed at any time, and restarts", "small"),
         text(180, 236, "/dev/shm", "bold"),
         box(4, 432, 352, 100) + text(180, 452, "PLC", "bold") + text(180, 470, "Structured Text", "small"),
-        box(4, 568, 352, 222, "area") + text(180, 590, "the physical cell: survives all crashes", "bold"),
+        box(4, 568, 352, 222, "area") + text(180, 590, "physical state: survives all restarts", "bold"),
         text(214, 127, "DDS", "small"),
     ]
     for y, kind, notes in (

@@ -79,8 +79,8 @@ def region_map(*, narrow: bool = False) -> str:
     ]
     notes = (
         (0, 2, "constant once the object is visible", "but state: LIVE may become RETIRED, once"),
-        (2, 3, "written only by the writer", "head: newest sequence number"),
-        (3, 3 + READER_LINES, "each written only by its claimant", "a writer never waits for a line"),
+        (2, 3, "stored by the writer only", "head is the newest message"),
+        (3, 3 + READER_LINES, "each stored by its claimant only", "a writer never waits for a line"),
     )
     title = (
         f"An object of {made.object_size} bytes: two lines of identity, the writer's line, "
@@ -171,7 +171,7 @@ def slot_life(*, narrow: bool = False) -> str:
             parts.append(stroke(f"M{x - 28:g} 102H{x - 2:g}"))
     if not narrow:
         parts.append(stroke("M852 60C852 24 780 28 480 28S100 24 100 57"))
-        parts.append(text(480, 22, "the writer comes round again", "small"))
+        parts.append(text(480, 22, "the writer reuses the slot", "small"))
     heading = f"An object with {slots} slots, as the C core fills it:"
     if narrow:
         heading = f"How the C core fills {slots} slots, by head:"
@@ -237,17 +237,17 @@ def torn_read(*, narrow: bool = False) -> str:
         writer, 260, f"starts {last + 1}, which belongs in slot {slot}", f"sets its sequence to {zero} first"
     )
     shown(268, scene.after, scene.head_after, "busy")
-    note(reader, 330, "…continues, copies the rest: a mixture", kind="busy")
+    note(reader, 330, "…continues, copies the rest: torn", kind="busy")
     behind = scene.head_after - scene.head
     note(
         reader,
         386,
         f"checks again: head {scene.head_after}, sequence {zero}",
-        f"{behind} behind head, at most {scene.window} allowed;",
+        f"{behind} behind head, and {scene.window} is the most;",
         f"sequence {zero} is not {scene.head}: discarded",
         kind="bad",
     )
-    retry = f"tries again with head {scene.retry}:"
+    retry = f"retries with head {scene.retry}:"
     note(reader, 478, retry, "the writer is not near that slot; accepted", kind="good")
     if not narrow:
         parts.append(stroke(f"M{memory + 150:g} 92H{reader - 132:g}"))
@@ -256,16 +256,16 @@ def torn_read(*, narrow: bool = False) -> str:
         parts.append(stroke(f"M{reader - 132:g} 404H{memory + 4:g}V300"))
     for k, line in enumerate(
         (
-            "The copy goes into a shadow buffer. The",
-            "PLC program sees it only after the second",
+            "The copy goes into a shadow. The PLC's",
+            "program sees it only after the second",
             f"check; after {MAX_RETRIES} failed retries, the last",
             "message stays until the next scan.",
         )
     ):
         parts.append(text(memory - 124, (bottom + 20 if narrow else 470) + 18 * k, line, "left small"))
     title = (
-        f"A reader copies message {scene.head} and is interrupted; the writer fills its slot again; the "
-        "reader checks head and sequence a second time, discards the copy and takes the newest message."
+        f"A reader copies message {scene.head} and is interrupted; the writer reuses its slot; the reader "
+        "checks head and sequence again, discards the copy and takes the newest message."
     )
     if narrow:
         return picture(title, 0, NARROW, bottom + 86, parts)
@@ -327,7 +327,7 @@ def generations(*, narrow: bool = False) -> str:
     between(330, "kill -9")
     between(630, "stopped")
     live = f"generation A, LIVE: head {scene.head} stays {scene.adopted_head}"
-    span(150, 690, memory, "shm", live, "the next bridge continues where the first one ended")
+    span(150, 690, memory, "shm", live, "the next bridge continues where the first one stopped")
     span(690, 796, retired, "bad", "RETIRED", f"state {scene.old_state}, in place")
     span(716, 940, successor, "shm", f"generation B: head {scene.new_head}", "renamed to the same name")
     for x, lane in ((180, memory), (400, memory), (720, memory), (870, successor)):
@@ -336,10 +336,10 @@ def generations(*, narrow: bool = False) -> str:
     span(300, 410, plc, "busy", "stale", "no beat")
     span(410, 600, plc, "good", "recovered", "same mapping, continues")
     span(600, 700, plc, "busy", "stale", "no beat")
-    span(700, 800, plc, "busy", "detaches", "sees RETIRED")
+    span(700, 800, plc, "busy", "lets go", "sees RETIRED")
     span(800, 940, plc, "good", "opens again", "if the layout matches")
     title = (
-        "A killed bridge leaves its object; the next one adopts it and the PLC only notices silence. A "
+        "A killed bridge leaves its object; the next one adopts it and the PLC notices only silence. A "
         "bridge with another layout retires the object in place and gives its name to a new generation."
     )
     if narrow:

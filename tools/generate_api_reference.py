@@ -30,7 +30,10 @@ PACKAGES = {
         "attach Channel topics ObjectState bind Binding bind_service bind_action load_project Project "
         "ConfigErrors check generate Delivery RecordView SlotInfo Direction include_dir",
     ),
-    "rosplc.virtual_plc": ("A virtual PLC: scan cycles on the same objects as a PLC, for laptops and CI.", ""),
+    "rosplc.virtual_plc": (
+        "A virtual PLC: scan cycles on the same objects as a PLC, for laptops and CI.",
+        "",
+    ),
     "rosplc.model": ("Message types, from a distribution's definitions or from `.msg` text.", "TypeStore"),
     "rosplc.layout": (
         "The layout of a type in memory: offsets, capacities, layout id.",
