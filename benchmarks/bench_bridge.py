@@ -33,7 +33,7 @@ MESSAGES = {100: 300, 1000: 1500}  # per round, by rate in Hz
 RATES = (1000, 2000, 5000, 10_000, 20_000, 40_000)
 LOAD = (20, 1000, 5.0)  # topics each way, rate in Hz, seconds of a round
 QUIET = 200
-NODES = "subscriber and bridge: woken by the backend; PLC: spins; towards ROS the bridge ticks every 1 ms"
+NODES = "the backend wakes subscriber and bridge; the PLC spins; the bridge ticks every 1 ms towards ROS"
 
 
 def latency_topics() -> list[str]:
@@ -222,7 +222,7 @@ def loaded(topics: int, rate: int, rounds: int, seconds: float, graph: RosGraph)
     }
     rows = [measure.row(name, values) for name, values in found.items()]
     waiting = (
-        "the bridge sleeps: on the backend towards the PLC, 1 ms ticks towards ROS; the PLC scans every 1 ms"
+        "the backend wakes the bridge; towards ROS the bridge ticks every 1 ms; the PLC scans every 1 ms"
     )
     return measure.table(f"{topics} topics x {rate} Hz each way", "% of a core", waiting, rows, facts)
 
@@ -252,7 +252,7 @@ def quiet(topics: int, rounds: int, seconds: float) -> dict[str, Any]:
             time.sleep(min(3.0, seconds))
             found |= share({"bridge, a PLC scans": process.pid}, seconds, rounds)
     rows = [measure.row(name, values) for name, values in found.items()]
-    waiting = "the bridge sleeps as above; it ticks every 10 ms while no PLC beats, every 1 ms while one does"
+    waiting = "the bridge sleeps as above; it ticks every 1 ms while a PLC beats, otherwise every 10 ms"
     return measure.table(f"{topics} quiet topics", "% of a core", waiting, rows)
 
 

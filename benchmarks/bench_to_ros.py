@@ -188,7 +188,7 @@ def latencies(rounds: int, times: Times, plc: Path, library: Path) -> list[dict[
             for case in CASES:
                 for mode, carrier in carriers.items():
                     found.setdefault((case, mode), []).append(handed_over(plc, carrier, case, times, draw))
-    waiting = "the bridge sleeps, 1 ms at most; a task of the PLC until its next scan, 50 µs early or late"
+    waiting = "the bridge sleeps for at most 1 ms; a PLC task sleeps until its next scan (±50 µs)"
     for case in CASES:
         ages, loads = [], []
         for mode in MODES:
@@ -218,7 +218,7 @@ def quiet(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library:
                 with scanning(plc, *tasks) if tasks else ExitStack():
                     time.sleep(2 * seconds)
                     rows.append(measure.row(f"{topics}, {title}", shares(carrier, rounds, seconds)))
-    waiting = "the bridge sleeps: 10 ms while no PLC beats, 1 ms while one does"
+    waiting = "the bridge sleeps for 1 ms while a PLC beats, otherwise for 10 ms"
     return measure.table("Quiet topics, half of them each way", "% of a core", waiting, rows)
 
 
@@ -277,7 +277,7 @@ def active(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library
             more["µs/further"] = 1e4 * (cost - before[1]) / (10 * (topics - before[0]))
         before = (topics, cost)
         rows.append(measure.row(f"{topics} topics", found, **more))
-    waiting = "the bridge sleeps, 1 ms at most; the PLC scans every 10 ms"
+    waiting = "the bridge sleeps for at most 1 ms; the PLC scans every 10 ms"
     return measure.table(
         "Active topics at 10 Hz, PLC to ROS: CPU of the bridge", "% of a core", waiting, rows
     )
