@@ -61,8 +61,7 @@ def image() -> str:
         + text(854, 207, "remembers nothing", "small"),
         stroke("M232 110H332") + stroke("M332 162H232") + text(282, 102, "DDS", "small"),
         # the machine
-        box(20, 286, 920, 142, "area")
-        + text(480, 310, "physical state: survives all restarts", "bold"),
+        box(20, 286, 920, 142, "area") + text(480, 310, "physical state: survives all restarts", "bold"),
         box(60, 332, 130, 68) + text(125, 360, "tray") + text(125, 380, "housings, springs", "small"),
         box(334, 332, 172, 68, "full")
         + text(420, 360, "the nest of the press", "on")

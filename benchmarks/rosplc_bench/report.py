@@ -319,7 +319,7 @@ def _machine(report: Report) -> list[str]:
         f"before and {load[1]} after. Effort: {effort['name']}, {effort['rounds']} rounds.",
         "",
         *([f"**{remark}**", ""] if (remark := busy(facts)) else []),
-        "**Ratios carry over to other machines, times do not.** A ratio means little unless you know how "
+        "**Ratios carry over to other machines; times do not.** A ratio means little unless you know how "
         "each side waited, which the line below each table describes.",
     ]
 
