@@ -80,7 +80,7 @@ The PLC:
 Tools and operation:
     configuration | a configuration error is reported with its line; a reload applies completely or not at all
     views | views show the true state and change nothing
-    web | the web page works, and only for authorized users
+    web | the web page works, and only for permitted users
     recordings | recordings contain or count every message, and other tools can read them
     recorder-killed | a killed recorder leaves a readable file
     doctor | the doctor finds each problem, and reports it only where it exists
