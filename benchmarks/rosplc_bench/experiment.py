@@ -275,7 +275,7 @@ def _summary(found: Found) -> Iterator[str]:
         yield f"{where}: rosplc takes {cell_text(middle)} µs per round trip{against}."
     if cyclic := [part for each in CYCLIC if (part := _range(found, each))]:
         yield (
-            f"With polling, a round trip takes {' and '.join(cyclic)}. The time depends on the period, not on "
+            f"With polling, a round trip takes {' and '.join(cyclic)}. This depends on the period, not on "
             "the transport: one period, or more if a response arrives too late."
         )
     wrong, runs = _counts(found)
