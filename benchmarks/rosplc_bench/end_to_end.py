@@ -349,7 +349,7 @@ def _summary(rows: list[_Row]) -> Iterator[str]:
 SECTION = Section(
     name="end-to-end",
     title="From a ROS 2 message to a PLC variable and back",
-    question="What does each method of exchange between ROS 2 and a PLC cost, and what does it lose?",
+    question="What does each way of exchanging data between ROS 2 and a PLC cost, and what does it lose?",
     run=run,
     render=render,
     contenders=("rosplc", "modbus", "opcua"),

@@ -383,7 +383,7 @@ def warnings(project: Project) -> list[str]:
     for plan in project.topics:
         if plan.layout.size > _LARGE_RECORD:
             found.append(
-                f"{plan.topic}: a record has {in_bytes(plan.layout.size)}; copying it takes part of a scan. "
+                f"{plan.topic}: a record has {in_bytes(plan.layout.size)}; copying it takes much of a scan. "
                 "Lower the limits of its largest fields (rosplc types shows them)."
             )
         if plan.truncate:

@@ -311,7 +311,7 @@ def bridges(objects: Objects) -> Iterator[Finding]:
             yield fine("DOC601", f"{bridge} is starting with {count}")
         else:
             words = process_words(pid) if pid else ""
-            why = f"process {pid}, {words}" if words else "it hangs or is stopped"
+            why = f"{words} (process {pid})" if words else "it hangs or is stopped"
             what = f"{bridge} has no heartbeat for {listed(seen.label for seen in silent)}: {why}"
             yield found("DOC601", what, _RESTART, level=Level.ERROR)
 

@@ -112,8 +112,8 @@ def propose(
         _times(entry, topic, seen)
     if layout.size > _LARGE:
         entry.about.append(
-            f"A record has {layout.size} bytes: copying it takes part of a scan. "
-            "Lower its largest limits if you can."
+            f"A record is {layout.size} bytes long; copying it takes a noticeable part of a scan. "
+            "Lower the topic's largest limits if you can."
         )
     return entry
 

@@ -95,7 +95,7 @@ class Rate:
 
 
 _STOPPED = ("T", "t")
-_THERE = "that process is running but does not respond"
+_THERE = "the process is running but does not respond"
 _YOUNG_S = 30.0  # a bridge claims its objects, joins ROS, and only then beats
 _START_TIME = 19  # index of the start among the fields behind the name, in ticks since the machine's start
 
@@ -128,10 +128,10 @@ def process_words(pid: int, proc: Path = Path("/proc")) -> str:
     except (OSError, IndexError):
         return ""
     if state == "Z":
-        return "that process has ended"
+        return "the process has ended"
     if b"rosplc" not in command and b"python" not in command:
-        return "that process ID belongs to another program"
-    return "that process is stopped (SIGSTOP)" if state in _STOPPED else _THERE
+        return "the process ID belongs to another program"
+    return "the process is stopped (SIGSTOP)" if state in _STOPPED else _THERE
 
 
 _RECENT_NS = 10_000_000_000

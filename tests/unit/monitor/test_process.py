@@ -22,12 +22,12 @@ def test_a_bridge_is_there_stopped_ended_or_gone():
     try:
         assert child.stdout is not None
         child.stdout.readline()  # while a process becomes another program, it has no command line
-        assert process_words(child.pid) == "that process is running but does not respond"
+        assert process_words(child.pid) == "the process is running but does not respond"
         child.send_signal(signal.SIGSTOP)
-        _wait_for(child.pid, "that process is stopped (SIGSTOP)")
+        _wait_for(child.pid, "the process is stopped (SIGSTOP)")
     finally:
         child.kill()
-    _wait_for(child.pid, "that process has ended")
+    _wait_for(child.pid, "the process has ended")
     child.wait()
     assert process_words(child.pid) == "there is no such process here"
 
@@ -42,8 +42,8 @@ def _wait_for(pid, words):
 @pytest.mark.parametrize(
     ("stat", "command", "words"),
     [
-        ("7 (a) b) S 1", b"/usr/bin/rosplc\0run\0", "that process is running but does not respond"),
-        ("7 (vim) S 1", b"vim\0", "that process ID belongs to another program"),
+        ("7 (a) b) S 1", b"/usr/bin/rosplc\0run\0", "the process is running but does not respond"),
+        ("7 (vim) S 1", b"vim\0", "the process ID belongs to another program"),
         ("", b"", ""),
     ],
 )

@@ -240,7 +240,7 @@ _TICK_NS = 500_000_000  # how often the receive thread looks at what has no even
 _SHORT_NS = 10_000_000  # the same while a response waits for its reader
 _DECOYS = "rosplc_nothing"  # the partition of the writers that nothing matches (service.py)
 _PARTICIPANTS, _ANNOUNCEMENTS, _FIRST = 2, 3, 4  # keys in the waitset; 0 and 1 are endpoints of peers
-_FOREIGN = "over a DDS other than Cyclone DDS, whose service calls are incompatible"
+_FOREIGN = "over a DDS implementation whose service calls are incompatible with Cyclone DDS"
 
 
 def dds_qos(qos: Qos, type_hash: str, service_id: str = "") -> DdsQos:

@@ -455,7 +455,7 @@ class MessageClasses:
         theirs = list(message_class(message.name).get_fields_and_field_types().items())
         ours = [(field.name, field_text(field.type)) for field in message.fields]
         if ours != theirs:
-            what = f"{message.name} has a different definition in the installed package"
+            what = f"{message.name} differs between the installed package and the bridge's definitions"
             difference = _first_difference(ours, theirs)
             raise BackendError("ROS012", f"{what} ({self._store.distro}): {difference}")
         for name in message.needs:
@@ -465,7 +465,7 @@ class MessageClasses:
 def _first_difference(ours: list[tuple[str, str]], theirs: list[tuple[str, str]]) -> str:
     for number, (one, other) in enumerate(zip(ours, theirs, strict=False), 1):
         if one != other:
-            return f"field {number} is `{other[1]} {other[0]}` there, `{one[1]} {one[0]}` here"
-    more, where = (theirs, "there") if len(theirs) > len(ours) else (ours, "here")
+            return f"field {number} is `{other[1]} {other[0]}` in the package, `{one[1]} {one[0]}` here"
+    more, where = (theirs, "in the package") if len(theirs) > len(ours) else (ours, "here")
     name, kind = more[min(len(ours), len(theirs))]
     return f"`{kind} {name}` exists only {where}"
