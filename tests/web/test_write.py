@@ -217,7 +217,7 @@ def test_numbers_that_are_not_finite_have_to_be_meant(
         ("std_msgs/msg/UInt8", {"data": 1.5}, "data", "uint8"),
         ("std_msgs/msg/Bool", {"data": "yes"}, "data", "bool"),
         ("std_msgs/msg/String", {"data": "x" * 81}, "data", "limit is 80"),
-        ("std_msgs/msg/String", {"data": 5}, "data", "no string"),
+        ("std_msgs/msg/String", {"data": 5}, "data", "not a valid string"),
         ("sensor_msgs/msg/JointState", {"position": ["1"] * 17}, "position", "limit is 16"),
         ("sensor_msgs/msg/JointState", {"position": ["1", "x"]}, "position[1]", "float64"),
         ("std_msgs/msg/Header", {"stamp": {"sec": str(2**31)}}, "stamp.sec", "int32"),

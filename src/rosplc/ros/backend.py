@@ -96,16 +96,16 @@ def incompatibility(offered: Qos, requested: Qos) -> str | None:
     """Return in words why an offered and a requested Qos do not match, else None (DDS 1.4, 2.2.3)."""
     problems = []
     if offered.reliability == "best_effort" and requested.reliability == "reliable":
-        problems.append("the publisher is best_effort, but the subscriber requests reliable")
+        problems.append("the publisher is best_effort and the subscriber requests reliable")
     if offered.durability == "volatile" and requested.durability == "transient_local":
-        problems.append("the publisher is volatile, but the subscriber requests transient_local")
+        problems.append("the publisher is volatile and the subscriber requests transient_local")
     for what, offer, wish in (
         ("deadline", offered.deadline_ns, requested.deadline_ns),
         ("liveliness lease", offered.lease_ns, requested.lease_ns),
     ):
         if wish and not 0 < offer <= wish:
             has = f"a {what} of {offer / 1e6:g} ms" if offer else f"no {what}"
-            problems.append(f"the publisher offers {has}, but the subscriber requests {wish / 1e6:g} ms")
+            problems.append(f"the publisher offers {has} and the subscriber requests {wish / 1e6:g} ms")
     return "; ".join(problems) or None
 
 

@@ -79,7 +79,7 @@ def test_a_list_that_shrinks_meanwhile_is_refused(kind: str) -> None:
     layout = compute_layout(TypeStore.from_definition("t/T", f"{kind}\nint8 y\n"), "t/T")
     items: list[Any] = [Emptying(), 2, 3]
     value: dict[str, Any] = {"x": items, "y": 1}
-    with pytest.raises(LayoutError, match="changed meanwhile") as caught:
+    with pytest.raises(LayoutError, match="changed while they were packed") as caught:
         layout.pack(value)
     assert caught.value.where == "x[1]"
 

@@ -61,7 +61,7 @@ def test_a_later_wish_refines_an_earlier_one() -> None:
     ("wish", "words"),
     [
         ("/cmd_vell", "did you mean /cmd_vel"),
-        ("/zzz", "give /zzz=PACKAGE/TYPE to carry it"),
+        ("/zzz", "specify /zzz=PACKAGE/TYPE to carry it"),
         ("/nothing/*", "no topic matches"),
         ("/odd", "several types"),
         ("/bad-name", "may contain only letters"),

@@ -331,7 +331,7 @@ def test_a_server_that_is_not_there_is_no_success(tmp_path: Path) -> None:
     wait_for_answers(target, lambda _: False)
     target.close()
     assert (target.counts[TOPIC].sent, target.counts[TOPIC].lost) == (0, 1)
-    assert "no server" in target.counts[TOPIC].reason
+    assert "no available server" in target.counts[TOPIC].reason
 
 
 def project_of(namespace: Namespace, service: str) -> Any:

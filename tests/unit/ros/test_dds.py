@@ -287,7 +287,7 @@ def test_mismatch_is_said_once_in_the_log(graph: Graph, caplog: pytest.LogCaptur
     with caplog.at_level(logging.WARNING, "rosplc.ros.dds"):
         graph.node("talker").advertise("/chatter", STRING, Qos(reliability="best_effort"))
         graph.node("listener").subscribe("/chatter", STRING, Qos(), lambda *_: None)
-        words = "the publisher is best_effort, but the subscriber requests reliable [ROS004]"
+        words = "the publisher is best_effort and the subscriber requests reliable [ROS004]"
         wait_for(lambda: caplog.text.count(words) == 2)
     assert "node /talker publishes /chatter" in caplog.text
     assert "node /listener subscribes to /chatter" in caplog.text

@@ -34,9 +34,12 @@ XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
             [XCDR1, Policy.Durability.Transient, Policy.Reliability.Reliable(0)],
             "transient or persistent durability",
         ),
-        ([XCDR1, Policy.Deadline(20_000_000)], "offers no deadline, but the subscriber requests 20 ms"),
+        ([XCDR1, Policy.Deadline(20_000_000)], "offers no deadline and the subscriber requests 20 ms"),
         ([XCDR1, Policy.Liveliness.ManualByTopic(2**63 - 1)], "it requests manual liveliness"),
-        ([XCDR1, Policy.Liveliness.Automatic(50_000_000)], "wants a liveliness lease of 50 ms"),
+        (
+            [XCDR1, Policy.Liveliness.Automatic(50_000_000)],
+            "no liveliness lease and the subscriber requests 50 ms",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -32,14 +32,14 @@ MS = 1_000_000
         (
             Qos(deadline_ns=6 * MS),
             Qos(deadline_ns=5 * MS),
-            "offers a deadline of 6 ms, but the subscriber requests",
+            "offers a deadline of 6 ms and the subscriber requests",
         ),
-        (Qos(), Qos(deadline_ns=5 * MS), "offers no deadline, but the subscriber requests 5 ms"),
+        (Qos(), Qos(deadline_ns=5 * MS), "offers no deadline and the subscriber requests 5 ms"),
         (Qos(lease_ns=5 * MS), Qos(lease_ns=9 * MS), None),
         (
             Qos(deadline_ns=MS),
             Qos(lease_ns=9 * MS),
-            "offers no liveliness lease, but the subscriber requests 9 ms",
+            "offers no liveliness lease and the subscriber requests 9 ms",
         ),
     ],
 )
@@ -78,7 +78,7 @@ def test_who_offers_no_deadline_is_named(graph: Graph) -> None:
     subscription = graph.node("listener").subscribe("/data", INT, Qos(deadline_ns=20 * MS), lambda *_: None)
     wait_for(lambda: subscription.status().code == "ROS004")
     assert (
-        "the publisher offers no deadline, but the subscriber requests 20 ms" in subscription.status().reason
+        "the publisher offers no deadline and the subscriber requests 20 ms" in subscription.status().reason
     )
     assert subscription.matched == 0
 

@@ -60,6 +60,6 @@ def test_words_name_both_sides() -> None:
     """The reason names each setting with what either side has."""
     words = incompatibility(SENSOR_DATA, LATCHED)
     assert words == (
-        "the publisher is best_effort, but the subscriber requests reliable; "
-        "the publisher is volatile, but the subscriber requests transient_local"
+        "the publisher is best_effort and the subscriber requests reliable; "
+        "the publisher is volatile and the subscriber requests transient_local"
     )

@@ -436,8 +436,8 @@ def test_misfit_is_logged_once_with_its_reason(machine: Machine, caplog: pytest.
     machine.node("talker").advertise("/chatter", STRING, Qos(reliability="best_effort"))
     subscription = machine.node("listener").subscribe("/chatter", STRING, Qos(), lambda *_: None)
     words = (
-        f"node /talker publishes /chatter as {STRING}, but the publisher is best_effort, "
-        "but the subscriber requests reliable"
+        f"node /talker publishes /chatter as {STRING}, but the publisher is best_effort "
+        "and the subscriber requests reliable"
     )
     wait_for(lambda: words in caplog.text)
     assert caplog.text.count(words) == 1
@@ -447,8 +447,8 @@ def test_misfit_is_logged_once_with_its_reason(machine: Machine, caplog: pytest.
 @pytest.mark.parametrize(
     ("wish", "words"),
     [
-        ({"deadline": 1_000_000}, "offers no deadline, but the subscriber requests 1 ms"),
-        ({"liveliness_lease_duration": 2_000_000}, "no liveliness lease, but the subscriber requests 2 ms"),
+        ({"deadline": 1_000_000}, "offers no deadline and the subscriber requests 1 ms"),
+        ({"liveliness_lease_duration": 2_000_000}, "no liveliness lease and the subscriber requests 2 ms"),
         ({"liveliness": 3}, "the subscriber requests manual liveliness"),
         ({}, ""),
     ],

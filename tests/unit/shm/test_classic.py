@@ -117,7 +117,7 @@ def test_rights_that_are_missing_are_named(tmp_path: Path, name: str) -> None:
     os.close(reader)
     assert "the memory (root:root 0750) is not accessible to user 65534 [SHM102]" in said[0]
     assert "run the bridge as the runtime's user" in said[0]
-    assert "the semaphore is root:root 0700" in said[1] and "[SHM128]" in said[1]
+    assert "the semaphore (root:root 0700)" in said[1] and "[SHM128]" in said[1]
 
 
 def test_a_lock_is_made_free_with_the_mode_asked_for(name: str) -> None:
