@@ -165,7 +165,7 @@ def _ratios(found: Found) -> Table:
         "Compared with rosplc's channel: time of one cycle (round trip)",
         ("", "compared", "median run, µs", "rosplc, µs", "ratio", "ratio of the 99th percentiles"),
         tuple(rows),
-        "see the first column for the arrangement, the second for how the compared side waits",
+        "the first column shows the arrangement, the second how the compared contender waits",
         text("experiment ratios"),
     )
 
@@ -308,7 +308,7 @@ def _summary_table(found: Found) -> Iterator[str]:
             cells += f"{cell_text(found.median(name, contender))}{'*' if star else ' '}".rjust(_COLUMN)
         yield f" {title[:_TITLE]:{_TITLE}}{cells}".rstrip()
     if stars:
-        yield " * sleeps in the socket, because it cannot spin"
+        yield " * blocks on the socket, because it cannot spin"
     yield ""
 
 
@@ -366,8 +366,8 @@ def render_waiting(data: Mapping[str, Any]) -> Page:
         ("", "where", "waits", "median run", "p50", "p99", "CPU of both", "CPU, % of one core"),
         tuple(rows),
         "see the second and third columns",
-        f"A cycle in the thesis: {MODBUS_S[1000]:.3f} ms over Modbus TCP, {SHARED_MEMORY_S[1000]:.3f} ms "
-        "over shared memory.",
+        f"In the thesis, a cycle takes {MODBUS_S[1000]:.3f} ms over Modbus TCP and "
+        f"{SHARED_MEMORY_S[1000]:.3f} ms over shared memory.",
     )
     figure = Figure("waiting", title, "", "µs (logarithmic)", tuple(bars), kind="bars", y_log=True)
     return Page((), (table,), (figure,), tuple(_meaning(found)), tuple(_waiting_summary(found)))

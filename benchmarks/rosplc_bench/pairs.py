@@ -57,15 +57,15 @@ class Way(NamedTuple):
 
 
 _SPIN = (
-    "each process has its own core and polls without a pause (spins) if the contender allows it; the "
-    "column shows which contenders block instead"
+    "each process has its own core and, if the contender allows it, polls without a pause (spins); the "
+    "second column shows which contenders block instead"
 )
 _BLOCK = "both processes share one core, as on a BeagleBone, and sleep until they are woken"
 _APART = "each process has its own core and sleeps until it is woken"
-_SHARED = "both processes share one core; the column shows what the waiting side does"
+_SHARED = "both processes share one core; the second column shows what the waiting side does"
 _CYCLE = (
-    "both programs are cyclic and poll once per period, B half a period after A; each has its own core "
-    "if there are two"
+    "both programs are cyclic and poll once per period; B polls half a period after A; each program has "
+    "its own core if the machine has two"
 )
 _MS = 1_000_000
 TWO_CORES = Arrangement("two-cores", "Two cores, spinning", 2, 0, _SPIN)
@@ -84,7 +84,7 @@ WAITING = (ONE_CORE_BUSY, ONE_CORE_YIELD, ONE_CORE_CYCLE, ONE_CORE, TWO_CORES_BL
 """Those that show what waiting alone does."""
 
 SPINS = Way("spin", "spins")
-BLOCKS = Way("block", "blocks in the socket")
+BLOCKS = Way("block", "blocks on the socket")
 RINGS = Way("block", "sleeps on an additional named semaphore")
 CYCLE = Way("cycle", "polls once per period")
 

@@ -314,13 +314,14 @@ def _machine(report: Report) -> list[str]:
     load = [", ".join(f"{value:.2f}" for value in facts[f"load_{when}"]) for when in ("before", "after")]
     return [
         f"{facts['processor']}, {kind} with {cores_text(facts)}{shared}, {facts['kernel']}, "
-        f"frequency governor {facts['governor']}, on {facts['when']}. Python {facts['python']}, {versions}, "
-        f"libmodbus {facts['libmodbus']}, {facts['compiler']}. Load average {load[0]} "
-        f"before and {load[1]} after. Effort: {effort['name']}, {effort['rounds']} rounds.",
+        f"frequency governor {facts['governor']}, measured on {facts['when']}. "
+        f"Python {facts['python']}, {versions}, libmodbus {facts['libmodbus']}, {facts['compiler']}. "
+        f"Load average: {load[0]} before the run, {load[1]} after it. "
+        f"Effort: {effort['name']}, {effort['rounds']} rounds.",
         "",
         *([f"**{remark}**", ""] if (remark := busy(facts)) else []),
-        "**Ratios carry over to other machines; times do not.** A ratio means little unless you know how "
-        "each side waited, which the line below each table describes.",
+        "**Ratios can be transferred to other machines; times cannot.** A ratio means little unless you know "
+        "how each side waited. The line below each table describes this.",
     ]
 
 

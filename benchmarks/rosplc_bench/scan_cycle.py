@@ -279,7 +279,7 @@ class _Runs:
 def render(data: Mapping[str, Any]) -> Page:
     """Return the page; see :class:`rosplc_bench.report.Section`."""
     runs = _Runs(data)
-    calls = "Time that the method's calls take from a scan, µs"
+    calls = "Time that the method's calls take in each scan, µs"
     return Page(
         lead=paragraphs("scan-cycle lead"),
         tables=(
@@ -363,8 +363,8 @@ def _series(runs: _Runs, methods: list[str], what: str, scale: int) -> tuple[Ser
 
 def _figures(runs: _Runs) -> tuple[Figure, ...]:
     ages, costs = _series(runs, runs.methods, "ages_ns", 1000), _series(runs, runs.paying, "calls_ns", 1)
-    age = "Age of a message at the first scan that sees it, median (sent at random moments)"
-    cost = "What the method's calls take from each scan, median"
+    age = "Median age of a message when a scan first sees it (sent at random times)"
+    cost = "Median time that the method's calls take in each scan"
     cycle = "cycle time of the task, ms"
     return (
         Figure("scan-cycle-age", age, cycle, "ms", ages),
@@ -395,7 +395,7 @@ def _summary(runs: _Runs, data: Mapping[str, Any]) -> tuple[str, ...]:
 SECTION = Section(
     name="scan-cycle",
     title="What a PLC's task sees and pays",
-    question="How old is the data that a cyclic program sees, and what does each method add to its cycle?",
+    question="How old is the data that a cyclic program sees, and how much of its cycle does a method use?",
     run=run,
     render=render,
     contenders=tuple(NAMES),

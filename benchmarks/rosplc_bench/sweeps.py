@@ -401,9 +401,10 @@ def opcua_topics(client: OpcUaClient, topics: int) -> Contender:
 def render(data: Mapping[str, Any]) -> Page:
     """Return the page; see :class:`rosplc_bench.report.Section`."""
     payload, topics = _medians(data["payload"], "size"), _medians(data["topics"], "topics")
-    one_way = _table("One message one way by its size, µs", "size", PAYLOAD_NAMES, payload, _microseconds)
+    title = "Time for one message in one direction"
+    one_way = _table(f"{title}, by message size, µs", "size", PAYLOAD_NAMES, payload, _microseconds)
     by_number = "Messages per second by number of topics (a Twist each)"
-    waits = "only Modbus and OPC UA wait, for answers"
+    waits = "only Modbus and OPC UA wait for responses"
     sizes, numbers = (
         _series(PAYLOAD_NAMES, payload, _microseconds),
         _series(TOPIC_NAMES, topics, _per_second),
@@ -413,9 +414,7 @@ def render(data: Mapping[str, Any]) -> Page:
         lead=paragraphs("sweeps lead"),
         tables=(one_way, _table(by_number, "topics", TOPIC_NAMES, topics, _per_second)),
         figures=(
-            Figure(
-                "sweep-payload", f"One message one way ({waits})", "bytes", "µs", sizes, "lines", True, True
-            ),
+            Figure("sweep-payload", f"{title} ({waits})", "bytes", "µs", sizes, "lines", True, True),
             Figure("sweep-topics", many, "topics", "messages per second", numbers, "lines", True, True),
         ),
         after=paragraphs("sweeps after", most=data["server_most"]),
@@ -484,7 +483,7 @@ def _summary(payload: Medians, topics: Medians) -> tuple[str, ...]:
 SECTION = Section(
     name="sweeps",
     title="By size of the message, and by number of topics",
-    question="From what size does copying matter, and how many topics can be carried?",
+    question="At what message size does copying begin to matter, and how many topics can be carried?",
     run=run,
     render=render,
     contenders=tuple(dict.fromkeys((*PAYLOAD_NAMES, *TOPIC_NAMES))),
