@@ -57,9 +57,12 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
     lines += [
         "### Recovery",
         "",
-        "The recovery time ends when a message that was sent after the fault has arrived on every topic. If "
-        "a process was killed, the fault ends when the new process starts. Only runs whose PLC and ROS nodes "
-        "were forked are in this table.",
+        "The recovery time is measured from the end of the fault until every topic has delivered a "
+        "message that was sent after the fault. If a process was killed, the fault ends when the new "
+        "process starts. The successor of a killed PLC waits for three missed beats (of 100 ms each), and "
+        "a lock whose holder is dead is freed after `recover_after` (2 s). For a fault with few rounds, "
+        "p99 is the longest recovery time. The table includes only runs whose PLC and ROS nodes were "
+        "forked: in other runs, starting Python takes most of the recovery time.",
         "",
         *recovery_table(runs),
         "",
@@ -67,11 +70,14 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "",
         "### Resources of each process",
         "",
-        f"{processes(runs):,} processes survived to the end of a round. For each part of each kind of cell, "
-        "the table shows the process with the longest life: medians of the first and the last quarter of "
-        "its life; for memory, only of its second half, after it has settled. Descriptors of the bridge "
-        "exclude the locks of objects. A rise counts as a leak if the Mann-Kendall trend test detects it "
-        f"and it exceeds the allowed size. Leaks: {len(leaks) or 'none'}.",
+        f"{processes(runs):,} processes survived until the end of a round. For each component in each kind "
+        "of cell, the table shows the process that lived longest, with the medians over the first and the "
+        "last quarter of its lifetime. For memory, these are the quarters of the second half of its "
+        "lifetime, when the memory usage has settled. The bridge's descriptor counts exclude the lock files "
+        "of objects. An increase counts as a leak if the Mann-Kendall trend test detects it and if it "
+        f"exceeds the limit in the table of claims. Leaks: {len(leaks) or 'none'}. The DDS library keeps "
+        "8 KiB of memory for each node that has connected, until its buffers are full, and 0.2 KiB for each "
+        "topic that has been opened.",
         "",
         *trend_table(runs),
         "",

@@ -22,85 +22,87 @@ LEVELS = {"real": "● real", "own": "◐ own"}
 
 TABLE = """\
 ROS:
-    ros2-topics | ROS 2 nodes exchange topics with a bridge over DDS
-    ros2-types | rclpy and the backends exchange every bundled type that has a wheel
-    ros2-verbs | `rosplc pub`, `echo` and `hz` send and print what ROS 2 does
-    rclpy-calls | services and actions work in both directions over `rclpy`, even after processes are killed
+    ros2-topics | ROS 2 nodes exchange messages with a bridge over DDS
+    ros2-types | rclpy and the backends exchange messages of every bundled type that is available as a wheel
+    ros2-verbs | `rosplc pub`, `echo` and `hz` send and print the same messages as rclpy
+    rclpy-calls | services and actions work in both directions over `rclpy`, even if processes are killed
     cyclone-calls | services and actions work over `dds` with nodes on Cyclone DDS
-    fastdds-calls | clients and servers on Fast DDS are refused over `dds`
-    learn | rosplc learns types from running ROS 2 nodes
-    rosout | the bridge's and the PLC's log lines reach `/rosout`
-    parameters | parameters set from ROS reach the PLC's memory, or are refused
-    ros-time | ROS time and simulated time reach the PLC's memory
-    tf | poses equal those of tf2
-    lifecycle | the lifecycle node follows the lifecycle transitions
+    fastdds-calls | over `dds`, service clients and servers on Fast DDS are refused
+    learn | rosplc obtains missing message definitions from running ROS 2 nodes
+    rosout | log messages of the bridge and the PLC are published on `/rosout`
+    parameters | parameter values that are set from ROS reach the PLC's shared memory, or are refused
+    ros-time | ROS time and simulated time reach the PLC's shared memory
+    tf | the poses that rosplc computes from transforms equal those of tf2
+    lifecycle | the bridge's lifecycle node follows the lifecycle state machine of ROS 2
     humble-jazzy | the `rclpy` backend is compatible with Humble and Jazzy
     colcon | `colcon build` builds the ROS 2 package
-    zenoh | topics and services work over Zenoh, even if routers die and restart
+    zenoh | topics and services work over Zenoh, even if the router dies and restarts
     zenoh-actions | actions work over Zenoh
-    ros1 | topics, services and actionlib work with ROS 1, even if masters die and restart
-    ros1-definitions | definitions from the network are used only if they are valid
-    backends | all backends deliver, order, reconnect and report in the same way
-    init | `rosplc init` writes a valid configuration from any graph or recording
+    ros1 | topics, services and actionlib work with ROS 1, even if the master dies and restarts
+    ros1-definitions | message definitions from the network are used only if they are valid
+    backends | all backends deliver and order messages, reconnect, and report problems in the same way
+    init | `rosplc init` writes a valid configuration for any ROS graph or recording
     distribution | an installed ROS 2 distribution, the `ros2` command, the launch file \
 | rclpy on Fast DDS (Kilted, from wheels); test doubles for Humble and Jazzy
-    rmw | nodes on rmw_cyclonedds or rmw_zenoh | independent implementations of their conventions
+    rmw | nodes on rmw_cyclonedds or rmw_zenoh | independent implementations of the conventions of these two
 Shared memory and conversion:
     spec | the specification is sufficient to implement the format
     vectors | layouts and objects match the specification
-    c-layout | layouts equal those of a C compiler
-    conversion | conversion is lossless for every bundled type
+    c-layout | record layouts equal those of C compilers
+    conversion | messages of every bundled type are converted without loss
     torn | a reader never accepts a torn message
-    core | the C core follows the rules, at full speed and on emulated ARM
+    core | the C core follows the rules of the specification, at full speed and on emulated ARM
     calls-once | a call is executed at most once, and its outcome is reported correctly
-    kills | any process may be killed at any time
-    campaign | under faults, nothing is torn, invented, leaked, or lost without being counted
-    objects | objects are owned, adopted, replaced and retired according to the rules
+    kills | if a process is killed at any time, the others continue and the new process takes over
+    campaign | under faults, no message is torn, invented or lost without being counted, and nothing is leaked
+    objects | objects are owned, adopted, replaced and retired according to the specification
     hostile | hostile bytes, files, objects and names are rejected with an error
-    limits | all input from outside has a limit
-    users | other users can neither read nor block a running bridge
+    limits | the limits of all external input are enforced
+    users | other users of the machine can neither read the messages of a running bridge nor block it
 The PLC:
-    st-messages | generated Structured Text exchanges messages with a bridge, without loss
-    compilers | other compilers read the generated code; matiec compiles the blocks for OpenPLC v3 and Beremiz
-    call-blocks | blocks of services and actions follow their state tables
+    st-messages | generated Structured Text exchanges messages with a bridge without loss
+    compilers | other compilers parse the generated code; \
+matiec compiles the blocks for OpenPLC v3 and Beremiz
+    call-blocks | the blocks for services and actions follow their state tables
     blocks-conform | the blocks in C and for OpenPLC behave like those for CODESYS
-    openplc | a bridge and OpenPLC Runtime 4.1.4 exchange topics and services, even after kills
-    beremiz | a bridge and the Beremiz runtime exchange topics and services, even after kills
-    ros-blocks | blocks for logging, time, parameters and transforms exchange their data with a bridge
-    fail-safe | a stale topic gets its safe value or substitute
+    openplc | a bridge and OpenPLC Runtime 4.1.4 exchange messages and calls, even if processes are killed
+    beremiz | a bridge and the Beremiz runtime exchange messages and calls, even if processes are killed
+    ros-blocks | the blocks for logging, time, parameters and transforms exchange their data with a bridge
+    fail-safe | the safe value or substitute replaces the messages of a stale topic
     classic | classic topics work with existing projects
-    names | names and literals are valid, and DUTs have the layout of the record
+    names | generated names and literals are valid, and DUTs have the layout of their records
     import-script | the import script creates, updates and removes only its own objects
     import-script-syntax | the import script is valid Python 2.7, as IronPython in CODESYS requires
     plcopen | the PLCopenXML file has the structure that CODESYS writes
-    example-cell | in the example cell, no step is done twice or lost
+    example-cell | in the example cell, no step is executed twice or lost
     codesys | CODESYS: compiler, development system, runtime \
 | generated code is translated to C and executed; [what only CODESYS can tell](#what-only-codesys-can-tell)
     openplc-v3 | the runtime of OpenPLC v3 | its compiler accepts the blocks
 Tools and operation:
-    configuration | a configuration error is reported with its line; a reload applies completely or not at all
-    views | views show the true state and change nothing
-    web | the web page works, and only for permitted users
-    recordings | recordings contain or count every message, and other tools can read them
+    configuration | a configuration error is reported with its line; \
+a reload is applied completely or not at all
+    views | the status views show the actual state and do not change it
+    web | the web page works, but only for permitted users
+    recordings | recordings contain every message or count it as lost, and other tools can read them
     recorder-killed | a killed recorder leaves a readable file
     doctor | the doctor finds each problem, and reports it only where it exists
     comparison | the values of each contender in the comparison are checked
-    service | the service has only the rights that it needs
+    service | the systemd service has only the permissions that it needs
     real-time-settings | real-time settings are applied to the intended threads
-    deb | the Debian package installs, upgrades and is removed
-    upgrade | a new release replaces an old one under load
-    containers | containers share memory; the image and compose file work
+    deb | the Debian package can be installed, upgraded and removed
+    upgrade | a new release can replace an old one under load
+    containers | containers share memory; the image and the compose file work
     arm-board | the bridge runs on 32-bit ARM within 512 MB
-    pip | `pip install` gives a working command
+    pip | `pip install` installs a working `rosplc` command
     documentation | commands, configurations and programs in the documentation work
-    generated | generated pages and drawings are current
+    generated | generated pages and drawings are up to date
     machines | a robot, or a second machine | all peers run on one machine
     arm | ARM hardware | cross-compilation, an emulator, and an exhaustive model of the ordering rules
     managers | systemd as a service manager, podman, rootless engines \
 | systemd's offline analysis; Docker from Debian 12
-    times | real-time behaviour, times | tests assert that something happens, never how fast
+    times | real-time behaviour and timing | the tests check that something happens, never how fast
     viewers | Foxglove, PlotJuggler, `ros2 bag`, screen readers, browsers besides Chromium \
-| the libraries mcap and rosbags; axe's rules
+| the mcap and rosbags libraries; the accessibility rules of axe
 """
 """Title, then lines: key | statement. One that no test is marked for is not verified: | how far tests go."""
 

@@ -320,7 +320,7 @@ def _machine(report: Report) -> list[str]:
         f"Effort: {effort['name']}, {effort['rounds']} rounds.",
         "",
         *([f"**{remark}**", ""] if (remark := busy(facts)) else []),
-        "**Ratios can be transferred to other machines; times cannot.** A ratio means little unless you know "
+        "**Ratios carry over to other machines; times do not.** A ratio means little unless you know "
         "how each side waited. The line below each table describes this.",
     ]
 

@@ -23,7 +23,10 @@ from tests.conformance.backends.base import STRING, AnyInbox, AnyOutbox, Harness
 from tests.conformance.backends.registry import HARNESSES
 from tests.lib.waiting import repeat_until, wait_for
 
-pytestmark = [pytest.mark.timeout(120), pytest.mark.verifies("backends", own="one suite for all backends")]
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.verifies("backends", own="the same tests for all backends"),
+]
 
 RELIABLE = Qos(depth=1000)
 INT32 = "std_msgs/msg/Int32"

@@ -10,7 +10,7 @@ from rosplc.ros import BACKENDS
 from tests.conformance.backends.base import Abilities
 from tests.conformance.backends.registry import HARNESSES
 
-pytestmark = pytest.mark.verifies("backends", own="one suite for all backends")
+pytestmark = pytest.mark.verifies("backends", own="the same tests for all backends")
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "backends.md"
 

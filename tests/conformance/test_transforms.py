@@ -21,7 +21,7 @@ from tests.lib.waiting import repeat_until, wait_for
 
 __all__ = ["graph"]  # the fixture
 
-pytestmark = [pytest.mark.timeout(120), pytest.mark.verifies("tf", own="every backend")]
+pytestmark = [pytest.mark.timeout(120), pytest.mark.verifies("tf", own="tests over every backend")]
 
 TF2_MSGS = importlib.util.find_spec("tf2_msgs") is not None  # no wheel has it
 LATCHED = Qos(durability="transient_local", depth=1)

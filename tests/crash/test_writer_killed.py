@@ -12,7 +12,7 @@ from rosplc.shm import Direction, Namespace, attach
 from tests.lib.channels import is_torn, open_channel, start_child, until
 from tests.lib.waiting import WATCHDOG_S
 
-pytestmark = pytest.mark.verifies("kills", own="SIGKILL at random, with counted messages")
+pytestmark = pytest.mark.verifies("kills", own="SIGKILL at random times, with counted messages")
 
 _TOPIC = "/robot1/cmd_vel"
 

@@ -70,7 +70,7 @@ def summary(facts: dict[str, Any]) -> str:
 def table(facts: dict[str, Any]) -> str:
     """Return the documentation's table."""
     lines = [
-        f"{facts['date']}, {facts['machine']}, Python {facts['python']}, {facts['seconds']} s for each:",
+        f"{facts['date']}, {facts['machine']}, Python {facts['python']}, {facts['seconds']} s per target:",
         "",
         "| target | content of the inputs | inputs | bytes | findings |",
         "| --- | --- | ---: | ---: | ---: |",

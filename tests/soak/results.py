@@ -191,7 +191,7 @@ def run_table(runs: Iterable[Run]) -> list[str]:
     """Return a Markdown table: one row per run, of compact form."""
     lines = [
         "| cell | seed | nice | PLC and nodes | rounds | kinds of fault | messages | violations | minutes "
-        "| load: median, most |",
+        "| load: median, maximum |",
         "| --- | ---: | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for run in runs:
@@ -251,8 +251,8 @@ def _seconds(value: float) -> str:
 def trend_table(runs: Iterable[Run]) -> list[str]:
     """Return a Markdown table: the longest life of each part of each kind of cell, from begin to end."""
     lines = [
-        "| cell | process | rounds of the longest life | descriptors | threads | private memory "
-        "| per 100 rounds |",
+        "| cell | process | rounds in its lifetime | descriptors | threads | private memory "
+        "| memory per 100 rounds |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
     ]
     longest: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}

@@ -45,8 +45,10 @@ class Entry:
 
 
 TARGETS: dict[str, Entry] = {
-    "codec": Entry("CDR and ROS 1 bytes, records and damaged plans, for every bundled type", longest=2048),
-    "channel": Entry("regions that change under the C core's readers and writers", longest=4096),
+    "codec": Entry(
+        "CDR and ROS 1 bytes, records and damaged conversion plans, for every bundled type", longest=2048
+    ),
+    "channel": Entry("memory regions that change while the C core reads and writes them", longest=4096),
     "definition": Entry(
         "`.msg` text from files, objects and the network",
         "definition",
@@ -75,9 +77,7 @@ TARGETS: dict[str, Entry] = {
         ("rosplc.ros.rospy", "rosplc.model"),
     ),
     "zenoh": Entry("Zenoh: liveliness tokens, attachments, samples", "zenoh", ("rosplc.ros",), 2048, _ZENOH),
-    "dds": Entry(
-        "DDS: announcements of nodes, type names, user data", "dds", ("rosplc.ros",), 2048, needs=_DDS
-    ),
+    "dds": Entry("DDS: node announcements, type names, user data", "dds", ("rosplc.ros",), 2048, needs=_DDS),
     "plc": Entry(
         "names, constants, default values and safe messages that try to inject PLC code",
         "plc",
@@ -94,14 +94,14 @@ TARGETS: dict[str, Entry] = {
         2048,
     ),
     "arguments": Entry(
-        "ROS arguments on the command line, environment variables of ROS, names",
+        "ROS command-line arguments, ROS environment variables, names",
         "arguments",
         ("rosplc.ros", "rosplc.shm.names"),
         1024,
         _DDS,
     ),
     "page": Entry(
-        "requests of a browser to `rosplc web`",
+        "browser requests to `rosplc web`",
         "page",
         ("rosplc.web", "rosplc.layout"),
         2048,

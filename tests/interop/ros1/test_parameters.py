@@ -19,7 +19,7 @@ from tests.verification.test_parameters_bridge import INITIAL, NEW, held, some
 pytestmark = [
     pytest.mark.needs(*PACKAGES, "python3-rosparam"),
     pytest.mark.timeout(300),
-    pytest.mark.verifies("ros1", real="rosmaster, rosparam, rospy"),
+    pytest.mark.verifies("ros1", real="rosparam"),
 ]
 
 CONFIG = ROS2.replace("backend: memory, domain: 57", "backend: rospy, distro: noetic")

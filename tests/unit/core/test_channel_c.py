@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.verifies("core", own="seeded faults, emulated ARM")
+pytestmark = pytest.mark.verifies("core", own="randomly overwritten words, emulated ARM")
 
 _SOURCE = Path(__file__).with_name("channel_test.c")
 _INCLUDE = Path(__file__).resolve().parents[3] / "src/rosplc/include"

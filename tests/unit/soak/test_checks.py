@@ -12,7 +12,7 @@ from tests.soak.faults import Fault
 from tests.soak.messages import TOPICS
 from tests.soak.processes import Usage
 
-pytestmark = pytest.mark.verifies("campaign", own="sabotage that its checks must detect")
+pytestmark = pytest.mark.verifies("campaign", own="simulated violations, which the checks must detect")
 
 
 class Part:
