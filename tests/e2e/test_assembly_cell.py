@@ -24,7 +24,7 @@ from rosplc.demo.st.process import find_translator
 
 pytestmark = [
     pytest.mark.timeout(900),
-    pytest.mark.verifies("example-cell", own="a simulated machine, killed processes, both programs"),
+    pytest.mark.verifies("example-cell", own="a simulated machine, killed processes, both PLC programs"),
 ]
 ROOT = Path(__file__).resolve().parents[2]
 STEP_S = 0.01

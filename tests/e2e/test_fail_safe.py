@@ -27,7 +27,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, Qos, open_backend
 from tests.e2e.fail_safe_peers import INT, SAFE
 
-pytestmark = [pytest.mark.timeout(240), pytest.mark.verifies("fail-safe", own="the virtual PLC, over DDS")]
+pytestmark = [pytest.mark.timeout(240), pytest.mark.verifies("fail-safe", own="the virtual PLC over DDS")]
 
 WATCHDOG_S = 100.0
 SUBSTITUTE = -9

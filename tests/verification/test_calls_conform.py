@@ -19,7 +19,7 @@ from tests.verification.call_cell import (
     made_cell,
 )
 
-pytestmark = pytest.mark.verifies("blocks-conform", own="identical scans")
+pytestmark = pytest.mark.verifies("blocks-conform", own="the same scans for all blocks")
 
 STEPS, SEEDS = 300, 2
 CALLING = ("xDone", "xBusy", "xError", "xAborted", "eError", "eReason", "xServer", "udiCalls", "udiLate")

@@ -23,7 +23,7 @@ from tests.interop.zenoh.processes import Router, free_port
 pytestmark = [
     pytest.mark.foreign,
     pytest.mark.timeout(600),
-    pytest.mark.verifies("zenoh-actions", own="rcl_action's rules on zenoh-ros2-sdk"),
+    pytest.mark.verifies("zenoh-actions", own="rcl_action's rules, implemented on zenoh-ros2-sdk"),
 ]
 
 DOMAIN = 19

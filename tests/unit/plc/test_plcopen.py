@@ -30,7 +30,7 @@ from rosplc.plc.project import (
 )
 from tests.unit.plc.projects import JOINTS, STORE, TWIST, custom, layout, project, read, write
 
-pytestmark = pytest.mark.verifies("plcopen", own="own checks, the schema (where available)")
+pytestmark = pytest.mark.verifies("plcopen", own="checks of the structure, the schema (where available)")
 
 PLC = "{http://www.plcopen.org/xml/tc6_0200}"
 XHTML = "{http://www.w3.org/1999/xhtml}"
