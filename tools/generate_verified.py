@@ -73,7 +73,7 @@ matiec compiles the blocks for OpenPLC v3 and Beremiz
     names | generated names and literals are valid, and DUTs have the layout of their records
     import-script | the import script creates, updates and removes only its own objects
     import-script-syntax | the import script is valid Python 2.7, as IronPython in CODESYS requires
-    plcopen | the PLCopenXML file has the structure that CODESYS writes
+    plcopen | the PLCopenXML file has the same structure as files that CODESYS exports
     example-cell | in the example cell, no step is executed twice or lost
     codesys | CODESYS: compiler, development system, runtime \
 | generated code is translated to C and executed; [what only CODESYS can tell](#what-only-codesys-can-tell)
@@ -85,19 +85,19 @@ a reload is applied completely or not at all
     web | the web page works, but only for permitted users
     recordings | recordings contain every message or count it as lost, and other tools can read them
     recorder-killed | a killed recorder leaves a readable file
-    doctor | the doctor finds each problem, and reports it only where it exists
-    comparison | the values of each contender in the comparison are checked
+    doctor | `rosplc doctor` finds each problem, and reports it only where it exists
+    comparison | the values that each contender in the comparison transfers are checked
     service | the systemd service has only the permissions that it needs
     real-time-settings | real-time settings are applied to the intended threads
     deb | the Debian package can be installed, upgraded and removed
     upgrade | a new release can replace an old one under load
     containers | containers share memory; the image and the compose file work
-    arm-board | the bridge runs on 32-bit ARM within 512 MB
+    arm-board | the bridge runs on 32-bit ARM with 512 MB of memory
     pip | `pip install` installs a working `rosplc` command
     documentation | commands, configurations and programs in the documentation work
     generated | generated pages and drawings are up to date
     machines | a robot, or a second machine | all peers run on one machine
-    arm | ARM hardware | cross-compilation, an emulator, and an exhaustive model of the ordering rules
+    arm | ARM hardware | cross-compilation, an emulator, and an exhaustive model of the memory-ordering rules
     managers | systemd as a service manager, podman, rootless engines \
 | systemd's offline analysis; Docker from Debian 12
     times | real-time behaviour and timing | the tests check that something happens, never how fast
