@@ -92,7 +92,7 @@ a reload is applied completely or not at all
     deb | the Debian package can be installed, upgraded and removed
     upgrade | a new release can replace an old one under load
     containers | containers share memory; the image and the compose file work
-    arm-board | the bridge runs on 32-bit ARM with 512 MB of memory
+    arm-board | the bridge runs on 32-bit ARM, and needs less than 512 MB of memory
     pip | `pip install` installs a working `rosplc` command
     documentation | commands, configurations and programs in the documentation work
     generated | generated pages and drawings are up to date

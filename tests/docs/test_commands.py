@@ -23,7 +23,7 @@ FIRST = ROOT / "README.md"  # the one page that the first tier runs
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 SHARED_MEMORY = Path("/dev/shm")
 
-pytestmark = [pytest.mark.timeout(600), pytest.mark.verifies("documentation", own="execution of all commands")]
+pytestmark = [pytest.mark.timeout(600), pytest.mark.verifies("documentation", own="executed commands")]
 if (
     not isolated.possible()
 ):  # pages use the default prefix and fixed ports, as their reader does: one at a time
