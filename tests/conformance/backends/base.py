@@ -63,7 +63,7 @@ def _flag(words: str) -> Any:
 class Abilities:
     """What differs between middlewares; ``docs/explanation/backends.md`` shows these as a table."""
 
-    source_stamps: bool = _flag("a message carries the time when it was sent")
+    source_stamps: bool = _flag("a message carries a sending time that the sender can set")
     matches_qos: bool = _flag("reliability and durability must match; the reason is reported if they do not")
     latched_depth: bool = _flag("a late subscriber gets the last `depth` messages (otherwise the last one)")
     latched_by_publisher: bool = _flag(
