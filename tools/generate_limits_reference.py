@@ -36,7 +36,7 @@ class Limit:
 
 TABLE = """\
 Configuration:
-    size of the file | config.yaml_source.LARGEST_FILE | bytes | CFG001
+    size of the configuration file | config.yaml_source.LARGEST_FILE | bytes | CFG001
     levels of nesting | config.yaml_source.DEEPEST | levels | CFG002
     errors reported at once | config.yaml_source.MOST_ERRORS | errors | only the first are reported
     topics | config.settings.MOST_TOPICS | topics | CFG004
@@ -50,11 +50,11 @@ Configuration:
     capacity of a sequence | layout.nodes.MAX_SEQUENCE | elements | LAY001
 Message definitions:
     text of one definition, including the types that it uses | model.parse.MAX_TEXT | bytes | TYP007
-    fields and constants in it | model.parse.MAX_FIELDS | fields | TYP007
+    fields and constants in one definition | model.parse.MAX_FIELDS | fields | TYP007
     name of a type | model.parse.MAX_NAME | characters | TYP001
     nesting of types | model.store.MAX_DEPTH | levels | TYP007
     definitions below one folder | model.folders.MAX_FILES | files | TYP008
-    files of any kind below it | model.folders.MAX_ENTRIES | files | TYP008
+    files of any kind below one folder | model.folders.MAX_ENTRIES | files | TYP008
     fields of one record, including those of nested types | layout.nodes.MAX_ITEMS | fields | LAY003
     size of one record | layout.nodes.MAX_RECORD | bytes | LAY003
     nesting of sequences | codec.compile.MAX_LOOPS | levels | TYP007
@@ -69,7 +69,7 @@ Objects in shared memory:
     promised time between beats | shm.constants.MAX_BEAT_MS | ms | treated as this value
 ROS:
     name of a topic | ros.names.LONGEST_NAME | characters | ROS005
-    peers listed in a reason | ros._base.MOST_REASONS | peers | further peers are only counted
+    peers listed in one reason | ros._base.MOST_REASONS | peers | further peers are only counted
     text about one peer | ros._base.LONGEST_REASON | characters | cut off
     different reasons in the log | ros._base.MOST_REMEMBERED | reasons | further reasons are not logged
 ROS over DDS:
@@ -84,9 +84,9 @@ ROS 1:
     connection header | ros.rospy.handshake.MOST_HEADER | bytes | connection closed
     message | ros.rospy.topics.LARGEST_MESSAGE | bytes | connection closed
     response of a node or master | ros.rospy.master.MOST_ANSWER | bytes | treated as no response
-    call to the node's XML-RPC interface | ros.rospy.slave.MOST_REQUEST | bytes | HTTP 413
+    request to the node's XML-RPC interface | ros.rospy.slave.MOST_REQUEST | bytes | HTTP 413
     simultaneous callers | ros.rospy.slave.MOST_CALLERS | connections | connection closed
-    subscribers with a pending header | ros.rospy.slave.MOST_GREETINGS | connections | connection closed
+    subscribers whose header has not arrived | ros.rospy.slave.MOST_GREETINGS | connections | connection closed
 PLC code:
     tasks | plc.build.MOST_TASKS | tasks | PLC003
     name of a topic | plc.build.LONGEST_TOPIC | characters | PLC006
@@ -101,7 +101,7 @@ Recordings, monitoring, the web page:
     plotted fields per page | web.live.MAX_PLOTS | fields | WEB009
     path of a field | web.live.MAX_PATH | characters | WEB009
 Errors:
-    each text of an error | errors.LONGEST_TEXT | characters | the middle is omitted
+    each text in an error | errors.LONGEST_TEXT | characters | the middle is omitted
 """
 """Title, then lines: what | where in ``rosplc`` | unit | what happens beyond it."""
 
