@@ -86,7 +86,7 @@ ROS 1:
     response of a node or master | ros.rospy.master.MOST_ANSWER | bytes | treated as no response
     request to the node's XML-RPC interface | ros.rospy.slave.MOST_REQUEST | bytes | HTTP 413
     simultaneous callers | ros.rospy.slave.MOST_CALLERS | connections | connection closed
-    subscribers whose header has not arrived | ros.rospy.slave.MOST_GREETINGS | connections | connection closed
+    subscribers whose header is awaited | ros.rospy.slave.MOST_GREETINGS | connections | connection closed
 PLC code:
     tasks | plc.build.MOST_TASKS | tasks | PLC003
     name of a topic | plc.build.LONGEST_TOPIC | characters | PLC006
