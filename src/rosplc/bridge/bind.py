@@ -299,7 +299,7 @@ def type_name_of(message_class: type) -> str:
         raise MessageTypeError(
             "TYP001",
             f"{message_class.__name__} is not a message class",
-            remedy="Pass the class of rclpy or rospy, or the type's name.",
+            remedy="Pass a message class of rclpy or rospy, or the name of the type.",
         )
     return f"{package}/msg/{message_class.__name__}"
 

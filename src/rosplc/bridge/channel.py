@@ -193,7 +193,7 @@ class PortToPlc(ChannelPort[Writer]):
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost, and what helps."""
-        return f"{count} messages from ROS were lost; raise qos: {{depth: …}} if they come in bursts"
+        return f"{count} messages from ROS were lost; raise qos: {{depth: …}} if messages arrive in bursts"
 
 
 class PortToRos(ChannelPort[Reader]):

@@ -349,7 +349,7 @@ class ClassicToRos(ClassicPort):
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost."""
-        return f"{count} messages were lost: not accepted by ROS, or half written by a process that died"
+        return f"{count} messages were lost: ROS did not accept them, or their writer died"
 
     def _turn(self, now_ns: int) -> int:
         if self._tend(now_ns):

@@ -47,7 +47,7 @@ class Leaving(CalledGoals):
         try:
             super().connect(backend)
         except RosplcError as error:  # no reason not to carry what is configured
-            log.warning("the goal left open at %s was not canceled: %s", self.plan.action, error)
+            log.warning("the goal left open in action %s was not canceled: %s", self.plan.action, error)
 
     def ask(self, now_ns: int) -> None:
         """Go on until the server has answered."""
@@ -69,7 +69,7 @@ def leaving(project: Project, context: Context) -> Iterator[Leaving]:
             about: dict[str, Any] = {"server": "ros", "client": said.client, "task": ""}
             about |= {part.word: compute_layout(store, getattr(kind, part.word).name) for part in ACTION}
         except RosplcError as error:
-            log.warning("a goal left open at %s was not canceled: %s", said.topic, error)
+            log.warning("a goal left open in action %s was not canceled: %s", said.topic, error)
             continue
         plan = ActionPlan(action=said.topic, type_name=kind.name, **about)
         yield Leaving(plan, context, lambda _: None)

@@ -25,7 +25,7 @@ _log = logging.getLogger("rosplc.bridge")
 # For a set; a PLC is looked at each second, and seen to live when it has beaten between two looks.
 _PATIENCE_NS = {True: 10_000_000_000, False: 2_500_000_000}
 _NOT_RUNNING = "PLC is not running"
-_NOT_TAKEN = "the PLC is running, but did not take the value; was its program generated from this file?"
+_NOT_TAKEN = "the PLC is running, but did not take the value; was its code generated from this configuration?"
 
 
 @dataclass

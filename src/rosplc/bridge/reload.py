@@ -64,7 +64,7 @@ def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
         what = f"it cannot change from {_written(old, path)} to {_written(new, path)}"
         problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
     if old.parameters != new.parameters and not problems:
-        what = "their layout in the PLC cannot change at run time"
+        what = "the layout of the parameters in the PLC cannot change at run time"
         problems.wrong(source, ("parameters",), what, "", "CFG012")
 
 
@@ -224,4 +224,4 @@ def _retire(stream: Carried) -> None:
     try:
         stream.port.retire()
     except (RosplcError, OSError, ValueError) as error:
-        log.warning("%s: its object could not be retired: %s", stream.plan.name, error)
+        log.warning("%s: the object could not be retired: %s", stream.plan.name, error)

@@ -204,7 +204,7 @@ class ActionStatus(CallStatus):
     def judgement(self) -> tuple[Level, str]:
         """The level and a sentence for it; an open goal stays as it is while the PLC is silent."""
         if self.server == "plc" and self.goal_status and not (self.problem or self.peer_alive):
-            return Level.WARN, f"the PLC is silent; its goal remains {self.goal_status}"
+            return Level.WARN, f"the PLC is silent; the goal remains {self.goal_status}"
         return super().judgement
 
     @property

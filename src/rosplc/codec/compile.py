@@ -367,7 +367,7 @@ class Codec:
         remedy = ""
         if number == 4 and bound:
             what = f"string has {size} bytes, but the type itself allows at most {limit}"
-            remedy = "The sender has another definition of the type; this bound cannot be raised."
+            remedy = "The sender uses a different definition of the type; this bound cannot be raised."
         if number == 7 and limit == size - 1 and self.wire is Wire.CDR:
             what = f"string of {size} bytes does not end with a NUL"
         where = f"{self.layout.type_name}: {path}" if path else self.layout.type_name
@@ -376,7 +376,7 @@ class Codec:
 
 _WHAT = {
     1: "message ends too early: it has {limit} bytes, but needs at least {size}",
-    2: "message has {size} bytes, but its content fills at most {limit}",
+    2: "message has {size} bytes, but its content takes at most {limit}",
     3: "encapsulation 0x{size:04x} is neither 0x0000 nor 0x0001",
     4: "string has {size} bytes; the limit is {limit}",
     5: "sequence has {size} elements; the limit is {limit}",

@@ -44,7 +44,7 @@ def find_openplc() -> tuple[Path, Path]:
             raise SetupError("SYS001", f"{program} is missing", remedy=f"sudo apt-get install {package}")
     if Runtime.ask("STATUS"):
         what = "another OpenPLC runtime is running"
-        raise SetupError("SYS002", what, where=str(RUN), remedy="Stop it: only one can run on a machine.")
+        raise SetupError("SYS002", what, where=str(RUN), remedy="Stop it: a machine can run only one.")
     openplc, strucpp = (Path(os.environ[variable]).resolve() for variable in _BUILT)
     return openplc, strucpp
 

@@ -73,7 +73,7 @@ class LiveView:
             f"{cycle.get('missed', 0)} missed; a scan takes {cycle.get('cycle_mean_us', 0) / 1000:.2f} ms, "
             f"at most {cycle.get('cycle_max_us', 0) / 1000:.2f} ms"
         )
-        drive = f"The robot has moved {robot.get('metres', 0.0):.2f} m on the PLC's commands."
+        drive = f"The robot has moved {robot.get('metres', 0.0):.2f} m, following the PLC's commands."
         path = Text("robot (DDS) ⇄ bridge ⇄ shared memory ⇄ virtual PLC", style="bold")
         end = Text(f"{demo.phase}; press Ctrl-C to stop and print a summary", style="dim")
         return Group(path, Text(), table, Text(), Text(task), Text(drive), end)

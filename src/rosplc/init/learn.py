@@ -146,7 +146,7 @@ def learn(definitions: Definitions, backend: Backend, topic: str, type_name: str
     nodes = {end.node: end.type_hash for end in ends if end.node and end.type_hash}
     trouble = f"no node uses {topic} with this type"
     if ends and not nodes:
-        trouble = "the nodes that use it announce no type hash (none do in ROS 2 Humble)"
+        trouble = "the nodes that use it announce no type hash (no node does in ROS 2 Humble)"
     for node, type_hash in list(nodes.items())[:_MOST_NODES]:
         service = f"{node}/get_type_description"
         try:
@@ -186,7 +186,7 @@ def _ask(
     if reply.payload is None:
         raise _refused(reply.text or reply.outcome)
     if len(reply.payload) > MAX_TEXT:
-        raise _refused(f"its answer has {len(reply.payload)} bytes; the limit is {MAX_TEXT}")
+        raise _refused(f"its answer is {len(reply.payload)} bytes long; the limit is {MAX_TEXT}")
     return unpack_whole(store, f"{_SERVICE}_Response", reply.payload)
 
 
@@ -228,7 +228,7 @@ def _described(answer: Mapping[str, Any], type_name: str, type_hash: str) -> Typ
     if own["type_name"] != type_name:
         raise _refused(f"it describes {one_line(own['type_name'][:80])!r}")
     if len(others) > MOST_TYPES:
-        raise MessageTypeError("TYP007", f"it needs {len(others)} types; the limit is {MOST_TYPES}")
+        raise MessageTypeError("TYP007", f"it depends on {len(others)} types; the limit is {MOST_TYPES}")
     texts = {each["type_name"]: _text(each) for each in (own, *others)}
     store = TypeStore.from_definition(type_name, join_texts(texts))
     if (found := store.type_hash(type_name)) != type_hash:

@@ -53,8 +53,8 @@ def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]
     if named in DISTROS and not (named == ROS1 and backend in ("dds", "rclpy", "zenoh")):
         return named, "set by ROS_DISTRO"
     if backend == "auto" and environment.get("ROS_MASTER_URI"):
-        return ROS1, "ROS_MASTER_URI is set, as for ROS 1"
-    return "jazzy", "the default; the environment does not specify another"
+        return ROS1, "ROS_MASTER_URI is set, which indicates ROS 1"
+    return "jazzy", "the default; the environment specifies no other distribution"
 
 
 class LiveRobot:
@@ -113,8 +113,8 @@ class LiveRobot:
             keys["domain"], why["domain"] = domain, "set by ROS_DOMAIN_ID"
         notes = self.found.notes
         if present := [name for name in _LEADS_THERE.get(choice.name, ()) if os.environ.get(name)]:
-            words = f"{', '.join(present)} {'is' if len(present) == 1 else 'are'} set here"
-            more = "a bridge started elsewhere, such as a service, needs the same environment to connect."
+            words = f"{', '.join(present)} {'is' if len(present) == 1 else 'are'} set in this shell"
+            more = "a bridge that is started elsewhere, such as a service, needs the same settings."
             notes = (*notes, f"{words}: {more}")
         self.found = replace(self.found, why=why, notes=notes)
 
@@ -131,7 +131,7 @@ class LiveRobot:
         if not hashes or ours in silent or self._types.type_hash(type_name) in hashes:
             return
         also = [name for name in DISTROS if name not in silent and _hash(name, type_name) in hashes]
-        hint = f"; it matches {', '.join(also)}: choose one with --distro" if also else ""
+        hint = f"; it matches that of {', '.join(also)}: use --distro" if also else ""
         note = f"{topic}: the robot's definition of {type_name} differs from that of {ours}{hint}."
         self.found = replace(self.found, notes=(*self.found.notes, note))
 

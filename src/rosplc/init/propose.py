@@ -33,8 +33,8 @@ _LARGEST = 128 * 1024 * 1024  # with four slots half a gigabyte: no topic for a 
 
 RULES = (
     f"Strings: twice the longest seen, rounded up to a multiple of {_STRING_STEP}, at least {_STRING_LEAST} "
-    f"bytes. Sequences: 1.5 times the longest seen, rounded up to a multiple of {_SEQUENCE_STEP}; if the "
-    f"length was the same in all of at least {_SURE} messages, that length. With fewer than {_SURE} "
+    f"bytes. Sequences: 1.5 times the longest seen, rounded up to a multiple of {_SEQUENCE_STEP}; if at "
+    f"least {_SURE} messages were seen and all had the same length, that length. With fewer than {_SURE} "
     "messages, no limit is set below the default. "
     "A message that exceeds a limit is refused and counted, never truncated."
 )
@@ -137,8 +137,8 @@ def _tell(entry: Entry, topic: Topic, seen: Seen | None) -> None:
     entry.about.append(f"{plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
     if seen.unreadable:
         entry.about.append(
-            f"{plural(seen.unreadable, 'message')} did not fit the type: the robot may have another "
-            "definition of it."
+            f"{plural(seen.unreadable, 'message')} did not fit the type: the robot may use a different "
+            "definition of the type."
         )
 
 
@@ -161,7 +161,7 @@ def _limits(entry: Entry, store: TypeStore, seen: Seen | None) -> Layout:
     unseen = [path for path in variable if path not in wanted]
     if unseen:
         nothing = "Always empty" if wanted or (seen is not None and seen.messages) else "Not seen yet"
-        entry.about.append(f"{nothing}: {listed(unseen, 6)}; the defaults at the top apply.")
+        entry.about.append(f"{nothing}: {listed(unseen, 6)}; the default limits above apply.")
     return layout
 
 
@@ -200,14 +200,14 @@ def _times(entry: Entry, topic: Topic, seen: Seen | None) -> None:
     if seen is None:
         return
     if _retained(topic) and seen.messages < 2:
-        entry.settings["stale_after"] = "never", "it is sent once, not regularly"
+        entry.settings["stale_after"] = "never", "its messages are not sent regularly"
     elif seen.longest_gap_s * _STALE_GAPS > _STALE_S:
         seconds = min(math.ceil(seen.longest_gap_s * _STALE_GAPS), 24 * 3600)
         why = f"three times the longest pause seen, {seen.longest_gap_s:.3g} s"
         entry.settings["stale_after"] = f"{seconds}s", why
     if entry.record_bytes <= _LARGE and seen.rate_hz > _FAST_HZ:
         rate = min(_up(seen.rate_hz * _RATE_HEADROOM, _RATE_STEP), 1_000_000)
-        entry.settings["expected_rate"] = f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; for sizing the slots"
+        entry.settings["expected_rate"] = f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; sets the number of slots"
 
 
 def _retained(topic: Topic) -> bool:

@@ -51,9 +51,9 @@ def configuration(
     lines += ["", f"bridge: {_value(bridge)}", "", *_ros(found), ""]
     if folders:
         paths = ", ".join(json.dumps(folder, ensure_ascii=False) for folder in folders)
-        lines += _comment("Folders with definitions that the distribution lacks.")
+        lines += _comment("Folders with type definitions that the ROS distribution lacks.")
         lines += [f"types: {{paths: [{paths}]}}", ""]
-    lines += _comment("Limits of strings (bytes) and sequences (elements) for topics that set none.")
+    lines += _comment("Default limits of strings (bytes) and sequences (elements).")
     lines += ["limits: {string: 80, sequence: 16}", ""]
     lines += _comment("The PLC task that calls the blocks; set the interval of your task.")
     lines += ["tasks:", "  RosTask: {interval: 10ms, priority: 4}", ""]
@@ -69,7 +69,7 @@ def configuration(
 
 def _calls(found: Found) -> Iterator[str]:
     """Yield the services and actions that were found, as comments: people decide which the PLC is to have."""
-    more = "Uncomment those that the PLC should call (`server: ros`) or execute (`server: plc`)."
+    more = "Uncomment those that the PLC should call (`server: ros`) or provide (`server: plc`)."
     yield from _comment(
         f"Services and actions in the graph. {more}" if found.calls else "No service or action was found."
     )

@@ -64,7 +64,7 @@ def _files(path: Path) -> list[Path]:
     if not exists:
         raise MessageTypeError("TYP008", "this path does not exist", where=str(path))
     if not files or files[0].suffix not in _SUFFIXES:
-        raise MessageTypeError("TYP008", "there is no .msg, .srv or .action file here", where=str(path))
+        raise MessageTypeError("TYP008", "this path contains no .msg, .srv or .action file", where=str(path))
     return files
 
 

@@ -37,7 +37,7 @@ _ADDED = (
 
 
 def status_words(part: Part, status: int, reason: int) -> str:
-    """Return a message's status in words, with the reason: ``not executed: it was refused``."""
+    """Return a message's status in words, with the reason: ``not executed: the request was refused``."""
     if part.asks:
         words = [word for bit, word in _ASKED if status & bit] or ["called"]
     else:

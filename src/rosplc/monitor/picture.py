@@ -275,7 +275,7 @@ def judge(
     if seen.bridge_alive is False:
         if seen.bridge_pid:
             return State.DEAD, f"the heartbeat of the bridge (process {seen.bridge_pid}) has stopped"
-        return State.NO_BRIDGE, "the bridge has ended; its last message remains"
+        return State.NO_BRIDGE, "the bridge has stopped; its last message remains"
     if seen.plc_alive is False and seen.plc_claimed:
         if to_plc:
             tasks = ", ".join(reader.task or f"process {reader.pid}" for reader in seen.readers)
@@ -289,7 +289,7 @@ def judge(
     if refused_lately:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log shows why"
     if lost_lately:
-        return State.LOST, "messages are lost although all should be read; raise slots: or read more per scan"
+        return State.LOST, "messages that should be read are lost; raise slots: or read more per scan"
     # Before silence, which begins with time: the same in the first second as in the tenth.
     if seen.plc_alive is False and not seen.received:
         return _no_plc(seen)
@@ -301,7 +301,7 @@ def judge(
         return _no_plc(seen)
     if seen.call is not None:
         if seen.ros_peers == 0 and seen.call.server == "ros" and seen.part in ASKS:
-            return State.NO_SERVER, "no server in ROS is ready"
+            return State.NO_SERVER, "no ROS server is ready"
         return State.OK, seen.call.status or "no call yet"
     if seen.ros_peers == 0:
         return State.OK, "no publisher" if to_plc else "no subscriber"

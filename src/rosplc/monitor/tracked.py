@@ -124,7 +124,7 @@ def process_words(pid: int, proc: Path = Path("/proc")) -> str:
         state = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[0]
         command = (folder / "cmdline").read_bytes()
     except (FileNotFoundError, ProcessLookupError):
-        return "there is no such process here"
+        return "no process with this ID is visible"
     except (OSError, IndexError):
         return ""
     if state == "Z":
@@ -168,7 +168,7 @@ class Tracked:
         except ChannelError:
             stands_right = False
         if not stands_right:
-            what = f"its self-description is of {description.topic[:80]!r}, whose object has another name"
+            what = f"its self-description is for {description.topic[:80]!r}, whose object has another name"
             raise channel_error(113, what, attached.path)
         self.name = name
         self.prefix = namespace.prefix

@@ -54,7 +54,7 @@ SERVICE_GVL, ACTION_GVL = "ROS_Services", "ROS_Actions"
 """The lists that hold the instances of services and actions."""
 SAFE_GVL = "ROS_Safe"  # the list that holds what a message becomes when its source is silent
 PARAMETER_GVL, _PARAMETER_BLOCK = "ROS_Parameters", "RosPlc_Parameters"
-_PROGRAMS = {"read": "Takes what came from ROS; call it first", "write": "Sends to ROS; call it last"}
+_PROGRAMS = {"read": "Receives from ROS; call it first", "write": "Sends to ROS; call it last"}
 _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 
 
@@ -118,8 +118,8 @@ _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}\Z")
 _CLIENT = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,31})?\Z")
 _LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
 _SETTINGS_GVL = "RosPlc_Settings"
-_SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge runs.
-After a change download the program: an online change may keep the values that were there before."""
+_SAFE_COMMENT = """Safe values of messages while their source is silent, whether or not the bridge is running.
+After you change them, download the program: an online change may keep the previous values."""
 
 
 def call_role(call: CallPlan) -> str:
@@ -266,8 +266,8 @@ def build_project(
     add_list(READ_GVL, instances["read"], f"{one_each} use their outputs.")
     add_list(WRITE_GVL, instances["write"], f"{one_each} set msg.")
     for gvl, found in of_calls.items():
-        add_list(gvl, found, "One function block per use; programs of the project use its pins.")
-    add_list(PARAMETER_GVL, variables, "The parameters of the bridge's node; programs use and set values.")
+        add_list(gvl, found, "One function block per client or server; programs of the project use its pins.")
+    add_list(PARAMETER_GVL, variables, "The parameters of the bridge's node; programs read and set values.")
     add_list(SAFE_GVL, _safe(topics, names["read"], builder), _SAFE_COMMENT, constant=True)
     return PlcProject(
         options.folder,
@@ -394,8 +394,8 @@ def _parameters(
     assert isinstance(pou, Pou)
     initial = initial_value(values, {plan.fields[each.name]: each.value for each in plan.declared}, builder)
     return pou, [
-        Variable("values", dut, initial, "what holds; a program may change it"),
-        Variable("block", _PARAMETER_BLOCK, None, "takes what was set in ROS, and shows what holds"),
+        Variable("values", dut, initial, "the current values; a program may change them"),
+        Variable("block", _PARAMETER_BLOCK, None, "takes values set in ROS, and reports the current values"),
     ]
 
 
@@ -419,7 +419,7 @@ def _notes(
             if half < wait:
                 notes.append(
                     f"{topic.topic}: the wait for its lock is reduced from {wait} ms to {half} ms, "
-                    f"half of the cycle of {topic.task}"
+                    f"half of the interval of task {topic.task}"
                 )
         if topic.layout.size > _LARGE_DUT:
             copies = (4 if topic.classic else 3) if topic.direction == "read" else 1
@@ -429,7 +429,7 @@ def _notes(
             )
         if topic.in_order and topic.direction == "read" and not options.fenced:
             notes.append(
-                f"{topic.topic}: without a memory fence, the PLC takes at most one message in two scans; "
+                f"{topic.topic}: without a memory fence, the PLC reads at most one message every two scans; "
                 "at a higher sustained rate, messages are lost and counted"
             )
     return notes

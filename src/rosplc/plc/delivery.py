@@ -171,7 +171,7 @@ def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -
         known = _manifest(folder, force=force)
         edited = [] if force else _edited(folder, files, known)
         if edited:
-            what = f"these files were edited since they were generated: {listed(edited, 5)}"
+            what = f"these files have been edited since they were generated: {listed(edited, 5)}"
             raise GenerationError("PLC001", what, where=str(folder))
         return _write(folder, files, known)
     except OSError as error:

@@ -157,7 +157,7 @@ class _Openplc:
             text = "'" in initial and variable.type.endswith("OF BYTE")
             if text or _LEFT_OUT[self.plc].fullmatch(initial):
                 self.notes.append(
-                    f"{where}: the default value {initial} is omitted: {_COMPILERS[self.plc]} alters it"
+                    f"{where}: the default value {initial} is omitted: {_COMPILERS[self.plc]} would alter it"
                 )
                 variable = replace(variable, initial=None)
             members.append(variable)

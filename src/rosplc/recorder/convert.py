@@ -110,7 +110,7 @@ class Conversion:
             if names and wanted_names and not common:
                 raise self._refused(f"{own.name} and {wanted.name} have no field in common")
             if [n for n in names if n in common] != [n for n in wanted_names if n in common]:
-                self.notes.append(f"{path}* are ordered differently in {wanted.name} and matched by name")
+                self.notes.append(f"{path}* are ordered differently in {wanted.name}, but matched by name")
         changes: dict[str, _Change] = {}
         for field in wanted.fields:
             if field.name in shape:
@@ -159,7 +159,7 @@ class Conversion:
             "REC007",
             f"the definitions do not match: {what}",
             where=self._where,
-            remedy=f"Use the definition of the recording, or exclude the topic with --exclude {self._where}.",
+            remedy=f"Use the recorded definition, or exclude the topic with --exclude {self._where}.",
         )
 
 

@@ -247,7 +247,7 @@ class _BagSource(Source):
         known = TypeStore.bundled("jazzy" if distro == ROS1 and not ros1 else distro)
         if any(not topic.definition for topic in self._bag.topics()):
             self.notes = (
-                f"{path}: some types have no definition; {known.distro} definitions are used (--distro)",
+                f"{path}: types without a recorded definition are taken from {known.distro} (--distro)",
             )
         for topic in self._bag.topics():
             # ROS 1 records a relative name as the node wrote it.

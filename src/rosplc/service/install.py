@@ -95,7 +95,7 @@ def drop_in(plan: Plan) -> str:
     if plan.directory != "/dev/shm":
         lines += ["# shm.directory.", f"ReadWritePaths={plan.directory}"]
     if plan.realtime:
-        lines += ["# realtime: limits instead of capabilities, since they permit only these two things."]
+        lines += ["# realtime: limits instead of capabilities, since limits permit only these two things."]
         lines += ["SystemCallFilter=@resources @memlock"]
     if plan.priority:
         lines += ["RestrictRealtime=no", f"LimitRTPRIO={plan.priority}"]
@@ -112,7 +112,7 @@ Description=rosplc bridge %i between ROS and the PLC
 # side may start first, and a PLC should not wait for a network.
 Wants=network-online.target
 After=network-online.target
-# Never stop trying: a bridge that gives up leaves the machine without one.
+# Never stop trying: a bridge that gives up leaves the machine without a bridge.
 StartLimitIntervalSec=0
 
 [Service]
@@ -449,7 +449,7 @@ def _group_name(group: str | int | None) -> str:
         return grp.getgrgid(group).gr_name
     except KeyError:
         what = f"this machine has no group with the ID {group} (shm.group)"
-        raise SetupError("SYS011", what, remedy="Set shm.group to a name; it is then created.") from None
+        raise SetupError("SYS011", what, remedy="Set shm.group to a name to create the group.") from None
 
 
 def _notes(plan: Plan, config: Config) -> list[str]:

@@ -245,7 +245,7 @@ class Block(_Instance):
         if found == compiled.layout_id and attached.identity.record_size == compiled.size:
             return
         made_for = f"layout {compiled.layout_id} of {compiled.type_name}"
-        what = f"the program was generated for {made_for}, but the object has {found}"
+        what = f"the program was generated for {made_for}, but the object has layout {found}"
         try:
             what += f": {compiled.difference(described_layout(attached.description, where=self.topic))}"
         except ChannelError as error:

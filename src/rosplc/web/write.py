@@ -196,6 +196,6 @@ def _to_plc(namespace: Namespace, attached: Attached, record: bytes, stamp_ns: i
             return _publish(channel.region, True, channel.description.topic, record, stamp_ns)
     except ChannelError as error:
         if error.code == "SHM116":
-            what = "a bridge holds the channel and writes the messages from ROS"
+            what = "a bridge owns the channel and writes messages from ROS to it"
             raise WebError("WEB010", what, where=attached.description.topic) from error
         raise

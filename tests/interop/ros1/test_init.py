@@ -45,7 +45,7 @@ def test_roscpp_robot_gives_a_configuration_with_its_own_types(ros1: Graph, tmp_
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     assert document["ros"] == {"backend": "auto", "distro": "noetic"}
-    assert any("ROS_MASTER_URI, ROS_IP are set here" in note for note in document["notes"])
+    assert any("ROS_MASTER_URI, ROS_IP are set in this shell" in note for note in document["notes"])
     assert document["definitions"] == {PART: "node /cpp"}
     project = load_project(out)
     assert {plan.topic: (plan.type_name, int(plan.direction)) for plan in project.topics} == {

@@ -206,13 +206,13 @@ def test_show_decodes_each_object_with_its_call(cell, use):
     made.answer(spec.ANSWER_NOT_EXECUTED, Reason.REJECTED)
     text = shown("/s", "--prefix", prefix, "--header")
     assert "/s request left  std_srvs/srv/SetBool_Request  message 1 (first, call 1, called)" in text
-    answer = "message 1 (first, call 1, not executed: it was refused)"
+    answer = "message 1 (first, call 1, not executed: the request was refused)"
     assert f"/s response left  std_srvs/srv/SetBool_Response  {answer}" in text
     assert "data: true" in text
-    assert "1 not executed: it was refused" in text
+    assert "1 not executed: the request was refused" in text
     request, response = json.loads(shown("/s", "--prefix", prefix, "--json", "--header"))
     assert (request["part"], request["client"], request["message"]) == ("request", "left", {"data": True})
-    assert response["call"]["status"] == "not executed: it was refused"
+    assert response["call"]["status"] == "not executed: the request was refused"
     assert response["object"]["layout_id"] == made.layouts[Part.RESPONSE].layout_id
     listed = {(each["kind"], each["part"]) for each in json.loads(shown("--prefix", prefix, "--json"))}
     assert listed == {("service", "request"), ("service", "response")}
@@ -234,7 +234,7 @@ def test_status_has_a_line_for_each_use(cell, use):
     made.answer(spec.ANSWER_FATE_UNKNOWN, Reason.SERVER_GONE)
     text = rosplc("status", "--prefix", prefix, code=1).output
     (line,) = [line for line in text.splitlines() if "ROS calls PLC" in line]
-    assert "fate unknown: the server left before it answered" in line
+    assert "fate unknown: the server went offline before it answered" in line
     assert "1 fate unknown" in line
     # Who is named first, bridge or PLC, depends on the age of this process: a young bridge may be starting.
     wrong = text.split("ROS calls PLC")[1]

@@ -29,7 +29,7 @@ def test_a_bridge_is_there_stopped_ended_or_gone():
         child.kill()
     _wait_for(child.pid, "the process has ended")
     child.wait()
-    assert process_words(child.pid) == "there is no such process here"
+    assert process_words(child.pid) == "no process with this ID is visible"
 
 
 def _wait_for(pid, words):
@@ -53,7 +53,7 @@ def test_names_and_numbers_may_be_anything(tmp_path, stat, command, words):
     (tmp_path / "7" / "stat").write_text(stat)
     (tmp_path / "7" / "cmdline").write_bytes(command)
     assert process_words(7, tmp_path) == words
-    assert process_words(8, tmp_path) == "there is no such process here"
+    assert process_words(8, tmp_path) == "no process with this ID is visible"
 
 
 @pytest.mark.parametrize(

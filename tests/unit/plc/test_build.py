@@ -279,5 +279,5 @@ def test_every_message_without_a_fence_is_noted():
     """In order on a PLC without fences: the note says how many messages it can take."""
     topics = (read("/every", in_order=True), read("/newest"), write("/out"))
     notes = project(*topics, fenced=False).notes
-    assert len(notes) == 1 and notes[0].startswith("/every: ") and "one message in two scans" in notes[0]
+    assert len(notes) == 1 and notes[0].startswith("/every: ") and "one message every two scans" in notes[0]
     assert project(*topics).notes == ()

@@ -239,7 +239,7 @@ class MessageScreen(Screen[None]):
         found = picture.channel(self._channel.id)
         if found is None:
             self.query_one("#channel-state", Static).update(Text("X gone", style=LEVEL_STYLES[Level.ERROR]))
-            self._say("the channel is gone; these are its last values")
+            self._say("the channel no longer exists; these are its last values")
             return
         self._channel = found
         self._head()
@@ -519,24 +519,24 @@ X missing     the topic is configured, but has no object
 X dead        the heartbeat of its bridge or PLC has stopped
 ! no bridge   the bridge was stopped; its last message remains
 ! refused     messages did not fit in the last ten seconds
-! lost        messages were lost although all should be read
+! lost        messages that should be read were lost
 ~ stale       the newest message is older than stale_after
 ~ silent      still no message after stale_after
 ! no PLC      no PLC task reads or writes it
-! no server   no ROS server is ready for calls of the PLC
+! no server   no ROS server is ready for calls from the PLC
   looking     not yet watched long enough to see a heartbeat
   ok          nothing is wrong
 
 COLUMNS
-  per s   messages per second, over the last seconds
+  per s   messages per second, over the last few seconds
   age     time since the newest message
   lost    messages that a reader missed; a reader that takes
           only the newest misses some by design
   refd    messages that were refused because they did not fit
   PLC     whether the PLC task sends a heartbeat
 
-Without --config, a channel to the PLC is stale after 1 s without
-a message, one to ROS never. This program is read-only.
+Without --config, a channel to the PLC is stale after 1 s without a
+message; a channel to ROS never is. This program is read-only.
 """
 
 
