@@ -30,7 +30,7 @@ WORDS: Final = {
     Reason.QUEUE_FULL: "too many calls are waiting",
     Reason.EXPIRED: "the request waited for too long",
     Reason.CALLER_GONE: "the caller no longer waits",
-    Reason.PLC_DOWN: "the PLC program has stopped, has restarted or is silent",
+    Reason.PLC_DOWN: "the PLC program stopped, restarted or is silent",
     Reason.BRIDGE_RESTARTED: "the bridge was restarted",
     Reason.TOO_LARGE: "the message does not fit into the record",
     Reason.SERVER_GONE: "the server went offline before it answered",
