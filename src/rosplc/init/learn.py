@@ -216,7 +216,7 @@ def take(
             incomplete += [name] * (source is None)
     definitions.learn(type_name, join_texts(texts), origin)
     for name in incomplete:
-        definitions.origins[name] += ", without constants and default values: its source cannot be used"
+        definitions.origins[name] += ", without constants and default values: the source text cannot be used"
 
 
 def _described(answer: Mapping[str, Any], type_name: str, type_hash: str) -> TypeStore:

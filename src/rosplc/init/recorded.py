@@ -63,7 +63,7 @@ class RecordedRobot:
             if (wanted == ROS1) != (self._bag.ros_version == 1):
                 raise BackendError(
                     "ROS001",
-                    f"{wanted} is not a ROS {self._bag.ros_version} distribution, as the recording requires",
+                    f"{wanted} is not a ROS {self._bag.ros_version} distribution; the recording needs one",
                     where=str(self._bag.path),
                     remedy="Omit --distro, or specify a distribution of that ROS version.",
                 )
@@ -76,8 +76,8 @@ class RecordedRobot:
             return self._carried_distro, "the recorded bridge used it"
         candidates = [_NEWEST, *(name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST))]
         best = min(candidates, key=self._misfits)
-        more = "" if best == _NEWEST else "; its definitions match this one best"
-        return best, f"the recording specifies none{more}"
+        more = "" if best == _NEWEST else "; the recorded definitions match this one best"
+        return best, f"the recording specifies no distribution{more}"
 
     def _misfits(self, distro: str) -> int:
         """Return how many of the recording's types a distribution defines differently."""

@@ -358,7 +358,7 @@ class TypeStore:
         learnt = ""
         if kind == "msg" and self.ros_version == 2 and self.distro != "humble":
             learnt = " `rosplc run` and `rosplc init` can learn a type from a running node that uses it."
-        remedy = f"`rosplc types {package}` lists its types; add the folder of others to types.paths.{learnt}"
+        remedy = f"`rosplc types {package}` lists its types; for others, add a folder to types.paths.{learnt}"
         if not any(other.startswith(f"{package}/") for other in every):
             remedy = (
                 f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder "

@@ -515,7 +515,7 @@ def _decompress(chunk: Chunk) -> bytes:
     """Return a chunk's bytes, as many as it claims and no more."""
     size = chunk.uncompressed_size
     if size > MAX_CHUNK:
-        raise ValueError(f"a chunk claims {size} bytes; the limit is {MAX_CHUNK}")
+        raise ValueError(f"a chunk claims to have {size} bytes; the limit is {MAX_CHUNK}")
     if chunk.compression == "zstd":
         data = zstandard.ZstdDecompressor().stream_reader(BytesIO(chunk.data)).read(size + 1)
     elif chunk.compression == "lz4":

@@ -81,7 +81,7 @@ def refuse_second_name(fd: int, path: Path) -> None:
     count = os.fstat(fd).st_nlink
     if count > 1:
         what = f"the file has {count} names (hard links)"
-        remedy = f"`find {path.parent} -samefile {path}` lists all of them; remove all but the right one."
+        remedy = f"`find {path.parent} -samefile {path}` lists all names; remove all but the correct one."
         raise ChannelError("SHM121", what, where=str(path), remedy=remedy)
 
 

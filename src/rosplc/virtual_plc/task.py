@@ -306,7 +306,7 @@ class VirtualPlc:
             if task.state is TaskState.EXCEPTION and task.error is not None:
                 raise task.error
             if task.overdue:
-                raise TimeoutError(f"task {task.name}: the scan in progress exceeds the watchdog")
+                raise TimeoutError(f"task {task.name}: the scan in progress exceeds the watchdog time")
 
     def run(self, duration: float | None = None) -> None:
         """Start, run for ``duration`` seconds (None: until Ctrl-C, or a task halts), or until :meth:`stop`.

@@ -63,7 +63,7 @@ def test_a_source_that_cannot_be_used(domain: int, peer: Peer, base: str) -> Non
     fields = [field.name for field in definitions.store[name].fields]
     assert fields == [field["name"] for field in described["fields"]]
     assert definitions.origins[name] == (
-        "node /peer, without constants and default values: its source cannot be used"
+        "node /peer, without constants and default values: the source text cannot be used"
     )
 
 
