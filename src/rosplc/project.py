@@ -336,12 +336,12 @@ def when_silent(project: Project, plan: TopicPlan) -> str:
         if not plan.stale_after_ns:
             return "the PLC keeps the last message, and xStale is never set"
         value = {
-            "hold": "the PLC keeps the last message and sets",
-            "zero": "every byte of the PLC's msg is zero, with xSubstituted and",
-        }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted and")
+            "hold": "the PLC keeps the last message and sets xStale",
+            "zero": "every byte of the PLC's msg is zero, with xSubstituted and xStale set",
+        }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted and xStale set")
         lives = "" if safe.action == "hold" else ", whether or not the bridge runs"
         unchanged = "; a record that does not change counts as silent" if plan.classic else ""
-        return f"after {after} {value} xStale{lives}{unchanged}"
+        return f"after {after} {value}{lives}{unchanged}"
     diagnostics = project.config.settings.diagnostics
     report = ""
     if plan.stale_after_ns and diagnostics.enabled:
@@ -379,12 +379,12 @@ def warnings(project: Project) -> list[str]:
     if isinstance(names := plc_names(project), RosplcError):
         found.append(f"rosplc generate would refuse this: {names.what} [{names.code}]. {names.remedy}")
     if not project.plans:
-        found.append("the file has no topics, services or actions: a bridge would carry nothing")
+        found.append("the file has no topics, services or actions, so a bridge would carry nothing")
     for plan in project.topics:
         if plan.layout.size > _LARGE_RECORD:
             found.append(
-                f"{plan.topic}: a record has {in_bytes(plan.layout.size)}; copying it takes much of a scan. "
-                "Lower the limits of its largest fields (rosplc types shows them)."
+                f"{plan.topic}: a record is {in_bytes(plan.layout.size)} long; copying it takes a noticeable "
+                "part of a scan. Lower the topic's largest limits (rosplc types shows them)."
             )
         if plan.truncate:
             found.append(
@@ -393,7 +393,7 @@ def warnings(project: Project) -> list[str]:
         if plan.classic is not None and plan.on_stale.action in ("zero", "value"):
             found.append(
                 f"{plan.topic}: on_stale with classic: a message that is repeated unchanged counts as "
-                "silence, because a bare record shows only changes; have the source change a field."
+                "silence, because only a changed record shows a new message; have the source change a field."
             )
         if plan.classic is not None and not plan.classic.semaphore:
             found.append(

@@ -273,7 +273,7 @@ def test_another_type_is_reported(graph: Harness) -> None:
     wait_for(lambda: "node /talker" in inbox.status().reason)
     status = inbox.status()
     assert status.matched == 0
-    assert status.reason == f"node /talker publishes /chatter as {INT32}, but here it is {STRING}"
+    assert status.reason == f"node /talker publishes /chatter as {INT32}, but the local type is {STRING}"
 
 
 # An installed rclpy has no message packages that are made for a test.

@@ -319,8 +319,8 @@ def test_peers_that_do_not_fit(
         text.write(struct.pack("<BBHI", 0, 1, 0, len(words) + 1) + words.encode() + b"\0")
     problems = {
         "/part": "as my_msgs/msg/Part with another definition",
-        "/type": "publishes /type as std_msgs/msg/Float32, but here it is std_msgs/msg/Int32",
-        "/qos": "the publisher is best_effort and the subscriber requests reliable",
+        "/type": "publishes /type as std_msgs/msg/Float32, but the local type is std_msgs/msg/Int32",
+        "/qos": "the publisher is best_effort, but the subscriber requests reliable",
     }
     for topic, words in problems.items():
         assert topic in bridge.says(f"{words}")

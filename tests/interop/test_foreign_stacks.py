@@ -179,7 +179,7 @@ def test_other_type_of_a_peer(graph: Graph, peer: StartPeer, caplog: pytest.LogC
     subscription = graph.node("cell").subscribe("/data", STRING, Qos(), lambda *_: None)
     peer("pub", "Twist", "rt/data", count=0)
     wait_for(lambda: subscription.status().code == "ROS003")
-    expected = f"publishes /data as geometry_msgs/msg/Twist, but here it is {STRING}"
+    expected = f"publishes /data as geometry_msgs/msg/Twist, but the local type is {STRING}"
     assert subscription.status().reason.endswith(expected)
     with caplog.at_level(logging.WARNING):
         wait_for(lambda: f"{expected} [ROS003]" in caplog.text)
@@ -199,7 +199,7 @@ def test_other_definition_announced_by_a_peer(graph: Graph, peer: StartPeer) -> 
     ours = graph.store.type_hash(twist)[7:15]
     assert status.code == "ROS003"
     assert status.reason.endswith(
-        f"publishes /data as {twist} with another definition (type hash abababab… there, {ours}… here)"
+        f"publishes /data as {twist} with another definition (type hash abababab…, locally {ours}…)"
     )
 
 
@@ -215,7 +215,7 @@ def test_other_definition_found_by_its_bytes(graph: Graph, peer: StartPeer) -> N
     status = subscription.status()
     assert (status.code, status.reason) == (
         "ROS003",
-        f"10 messages on /data do not fit the definition of {twist} used here",
+        f"10 messages on /data do not fit the local definition of {twist}",
     )
     assert got == []
 

@@ -107,7 +107,7 @@ def test_whatever_is_found_the_file_loads_and_checks_clean(robot, to, data) -> N
             assert (plan.layout.size, plan.type_name) == (entry.record_bytes, entry.type_name)
             assert dict(plan.layout.limits.fields) == {path: most for path, (most, _) in entry.limits.items()}
             assert set(entry.settings) or not plan.latched or entry.to == "ros"
-        wrong = [text for text in check(project)["warnings"] if "a record has" not in text]
+        wrong = [text for text in check(project)["warnings"] if "a record is" not in text]
         assert [
             text for text in wrong if "all objects together" not in text and "has no topics" not in text
         ] == []

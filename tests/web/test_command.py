@@ -60,7 +60,7 @@ def test_beyond_loopback_it_warns_and_asks_for_the_token(shm_namespace) -> None:
         assert get(said["url"], str(said["token"])) == 200
         child.terminate()
         _, errors = child.communicate()
-    assert "warning: listening on 0.0.0.0, for other machines too" in errors
+    assert "warning: listening on 0.0.0.0, which other machines can reach" in errors
 
 
 def test_a_token_of_ones_own_is_not_printed(shm_namespace, tmp_path) -> None:

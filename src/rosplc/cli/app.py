@@ -33,16 +33,16 @@ _VERBS = """\
 Set up
   demo: Show ROS topics reaching a virtual PLC and its commands coming back.
   init: Examine a robot or a recording, and write a commented configuration.
-  check: Explain a configuration: what is carried, in which direction, how, and who may open the objects.
-  generate: Write the PLC half: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
+  check: Explain a configuration: its entries, their directions and settings, and who may open the objects.
+  generate: Write the PLC code: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
   types: List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
 
 Run
   run: Run the bridge in the foreground; logs go to stderr.
   reload: Apply a changed configuration to a running bridge, without stopping it.
   service: Run a bridge as a systemd service: install it, remove it, or show its status.
-  release: Free the claim of a dead writer, so that another program can write the channel.
-  clean: Remove the objects of a prefix that no bridge uses: channels, locks and temporary files.
+  release: Free the claim of a dead writer, so that another program can write to the channel.
+  clean: Remove a prefix's unused objects: channels, locks and temporary files that no bridge uses.
 
 Watch
   status: Print a table of all channels on this machine, and any problems.

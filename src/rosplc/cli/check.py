@@ -57,7 +57,7 @@ def command(
     fix: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Explain a configuration: what is carried, in which direction, how, and who may open the objects.
+    """Explain a configuration: its entries, their directions and settings, and who may open the objects.
 
     Options:
         verbose: Explain each topic: memory, QoS, what happens when silent.
@@ -99,7 +99,7 @@ def _explain(project: Project, *, verbose: bool) -> None:
     if unusable:
         what = plural(len(unusable), "custom type")
         more = "" if verbose else " (rosplc check -v)"
-        total.append(f"{what} in types.paths cannot be used, but no topic needs them{more}.")
+        total.append(f"{what} in types.paths cannot be used; the configuration needs none of these{more}.")
     if verbose:
         # A type that needs another has the other's mistake.
         listed = dict.fromkeys(f"  {error.where}: {error.what} [{error.code}]" for error in unusable)
@@ -180,7 +180,7 @@ def _details(project: Project) -> Iterator[str]:
         yield f"\n{plan.topic}  {_WAYS[plan.direction]}  {plan.type_name}"
         yield from columns(_rows(project, plan, names.get(plan.topic)), indent=2)
     for call in (*project.services, *project.actions):
-        way = "carried out by the PLC" if call.server == "plc" else "called by the PLC"
+        way = "provided by the PLC" if call.server == "plc" else "called by the PLC"
         yield f"\n{call.name}  {way}  {call.type_name}"
         in_plc = [("in the PLC", "{} (block {})".format(*names[call.name]))] if call.name in names else []
         yield from columns((*_call_rows(call), *in_plc), indent=2)
@@ -242,7 +242,7 @@ def _access_words(given: dict[str, Any]) -> str:
     who = f"{owner} and {group}"
     if mode & 0o060 != 0o060:
         who = f"{owner}; {group} {verbs[mode >> 3 & 0o006]}"
-    return f"{who}, {everybody} (mode {given['mode']}); the PLC runtime must run as one of them"
+    return f"{who}, {everybody} (mode {given['mode']}); the PLC runtime needs read-write access"
 
 
 def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> Iterator[tuple[str, str]]:
@@ -314,7 +314,7 @@ def _total(project: Project) -> Iterator[str]:
     for plan in project.topics:
         sizes[plan.direction] += memory(project, plan)["memory_bytes"]
     total = total_memory(project)
-    parts = [f"{sizes[1]} towards the PLC", f"{sizes[2]} towards ROS"]
+    parts = [f"{sizes[1]} for topics to the PLC", f"{sizes[2]} for topics to ROS"]
     if services := total - sum(sizes.values()):
         parts.append(f"{services} for services")
     ways = f" ({', '.join(parts)})" if all(sizes.values()) else ""

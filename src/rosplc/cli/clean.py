@@ -39,7 +39,7 @@ def command(
     directory: Directory = "/dev/shm",
     as_json: bool = False,
 ) -> None:
-    """Remove the objects of a prefix that no bridge uses: channels, locks and temporary files.
+    """Remove a prefix's unused objects: channels, locks and temporary files that no bridge uses.
 
     Options:
         prefix NAME: The bridge's `prefix:`, instead of a configuration.

@@ -36,7 +36,7 @@ def command(
     force: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Write the PLC half: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
+    """Write the PLC code: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
 
     Options:
         out FOLDER: The folder to write.

@@ -208,7 +208,7 @@ def _tell(
     steps = [
         (f"rosplc check {output}", "explain the file, and show how much memory it needs"),
         (f"rosplc run {output}", "carry the topics"),
-        (f"rosplc generate {output}", "write the PLC half, for CODESYS"),
+        (f"rosplc generate {output}", "write the PLC code, for CODESYS"),
     ]
     table(steps, indent=2)
 

@@ -24,10 +24,10 @@ _LOOK_S = 0.1
 ConfigFile = Annotated[
     Path | None, typer.Argument(help="The configuration file; rosplc.yaml in this folder by default.")
 ]
-Directory = Annotated[str, typer.Option(help="The folder of the objects.", hidden=True)]
+Directory = Annotated[str, typer.Option(help="The folder that contains the objects.", hidden=True)]
 Prefix = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Only the bridge with this `prefix:`; rosplc.yaml is then not read."),
+    typer.Option(metavar="NAME", help="Show only the bridge with this `prefix:`; rosplc.yaml is not read."),
 ]
 Configs = Annotated[
     list[Path] | None,
@@ -35,7 +35,7 @@ Configs = Annotated[
         "--config",
         metavar="FILE",
         help="Show only the bridge of this configuration, apply its `stale_after:`, and include its classic "
-        "topics and those without a channel. May be repeated. By default rosplc.yaml in this folder, else "
+        "topics and topics without a channel. May be repeated. By default rosplc.yaml in this folder, else "
         "every bridge of the machine.",
     ),
 ]
@@ -43,7 +43,7 @@ StaleAfter = Annotated[
     str,
     typer.Option(
         metavar="DURATION",
-        help="Without a configuration: age at which messages to the PLC are stale (`500ms`, `never`).",
+        help="Without a configuration: age at which messages to the PLC become stale (`500ms`, `never`).",
     ),
 ]
 

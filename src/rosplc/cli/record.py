@@ -197,14 +197,14 @@ def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> Non
         warn(f"{name} is not recorded: {error.what} [{error.code}]")
     topics = list(recorder.inlet.counts)
     for pattern in options.selection.without_match(topics):
-        warn(f"there is no channel {pattern} yet; it is recorded once it exists")
+        warn(f"there is no channel {pattern} yet; a matching channel is recorded once it exists")
     for trigger, topic in recorder.idle_triggers().items():
         why = f"{topic} is not recorded, so the trigger cannot fire"
         if topic in options.selection:
             why = f"there is no channel {topic} yet; the trigger cannot fire until there is"
         warn(f"trigger {trigger!r}: {why}")
     if not topics:
-        warn(f"there is no channel with the prefix {options.namespace.prefix} yet; new ones are recorded")
+        warn(f"there is no channel with the prefix {options.namespace.prefix} yet; new channels are recorded")
         found = find_objects(str(options.namespace.directory), seconds=0.0)
         if others := sorted({state.prefix for state in found}):
             warn(f"there are channels with the prefix {', '.join(others)}: choose one with --prefix")
@@ -241,11 +241,11 @@ def _report(recorder: Recorder, result: Result, *, as_json: bool) -> None:
         if not result.saves:
             say("no trigger fired: nothing was saved")
         if result.unsaved:
-            warn(f"{result.unsaved} triggers not saved: --files {recorder.options.most_files} was reached")
+            warn(f"{result.unsaved} triggers saved nothing: --files {recorder.options.most_files} is reached")
         if result.cut_short:
-            warn("memory was full before --keep was reached: raise --memory, or leave out topics")
+            warn("--memory was full before --keep was reached: raise --memory, or exclude topics")
     if result.lost:
-        warn("messages were lost: raise `slots` of these topics or record fewer; sequence numbers show gaps")
+        warn("messages were lost (gaps in sequence numbers): raise the topics' `slots`, or exclude topics")
 
 
 def _document(result: Result, recorder: Recorder) -> dict[str, Any]:

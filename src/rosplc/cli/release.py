@@ -30,7 +30,7 @@ _LOOK_S = 0.02
 def command(
     topic: str, /, *, prefix: str | None = None, yes: bool = False, directory: Directory = "/dev/shm"
 ) -> None:
-    """Free the claim of a dead writer, so that another program can write the channel.
+    """Free the claim of a dead writer, so that another program can write to the channel.
 
     Options:
         topic: The topic's ROS name.

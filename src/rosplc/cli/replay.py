@@ -137,7 +137,7 @@ def _options(
     except ValueError:
         factor = -1.0
     if speed != "max" and not 1e-3 <= factor <= 1e6:
-        raise typer.BadParameter(f"{speed!r} is neither max nor between 0.001 and 1e6", param_hint="--speed")
+        raise typer.BadParameter(f"{speed!r} is neither max nor from 0.001 to 1e6", param_hint="--speed")
     begin, finish = duration(start, "--start"), duration(end, "--end")
     if finish and finish <= begin:
         raise typer.BadParameter("must be after --start", param_hint="--end")
@@ -248,7 +248,7 @@ def _report(player: Player, *, as_json: bool) -> None:
         if player.options.speed:
             say(f"the longest delay was {player.latest_ns / 1e6:.1f} ms")
         if player.disordered:
-            warn(f"{plural(player.disordered, 'message')} out of order in the file, sent immediately")
+            warn(f"{plural(player.disordered, 'message')} out of order in the file, so sent immediately")
     if any(one.refused or one.lost for one in counts.values()) or not sent:
         raise typer.Exit(EXIT_FAILURE)
 

@@ -92,8 +92,8 @@ def command(
         sys.stdout.flush()
         if beyond:
             warn(
-                f"rosplc: warning: listening on {address}, for other machines too. Nothing is encrypted: "
-                "anyone who can capture this network's traffic can read the messages and the token."
+                f"rosplc: warning: listening on {address}, which other machines can reach. Nothing is "
+                "encrypted: anyone who can capture the network's traffic can read the messages and the token."
             )
 
     log_to_stderr(logging.INFO)

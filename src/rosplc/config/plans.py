@@ -61,10 +61,10 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
         what = f"the name {name!r} has {len(name)} characters; a PLC's STRING is limited to {MAX_NAME}"
         raise config.source.wrong(key, what, "Set a shorter name with classic: {name: …}.")
     if name.startswith(settings.prefix + "."):
-        what = f"the name {name!r} begins with {settings.prefix}., reserved for this bridge's objects"
+        what = f"the name {name!r} begins with {settings.prefix}., which is reserved for the bridge's objects"
         raise config.source.wrong(key, what, "Set another name with classic: {name: …}.")
     if settings.shm.directory != "/dev/shm":
-        what = "classic topics must be in /dev/shm, like semaphores; shm.directory is "
+        what = "classic topics, like their semaphores, must be in /dev/shm, but shm.directory is "
         raise config.source.wrong(key, what + settings.shm.directory)
     poll = settings.tick_ns
     if not passes_changes_only(entry) and entry.to == "ros":
@@ -124,7 +124,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     if asked.period_ns < _SHORTEST_NS:
         raise wrong(f"{format_duration(asked.period_ns)} is below the minimum, 1ms", at=(*key, "period"))
     if flag_topic(topic) in config.settings.topics:
-        what = f"{flag_topic(topic)} shows in ROS whether {topic} is substituted; it cannot be configured"
+        what = f"{flag_topic(topic)} is reserved: it shows whether messages on {topic} are substitutes"
         raise wrong(what, "Rename the configured topic.")
     return StalePlan("substitute", asked.value, record, asked.period_ns)
 
@@ -142,7 +142,7 @@ def _check_silence(entry: TopicSettings, stale_ns: int, wrong: Any) -> None:
         what = "on_change drops equal messages, so a source that repeats a message would count as silent"
         raise wrong(what, "Remove on_change.")
     if (entry.rate_limit_ns or 0) >= stale_ns:
-        what = f"rate_limit allows a longer interval than stale_after ({format_duration(stale_ns)})"
+        what = f"the interval of rate_limit must be shorter than stale_after ({format_duration(stale_ns)})"
         raise wrong(what, "Raise stale_after, or remove rate_limit.")
 
 

@@ -60,7 +60,7 @@ def parse_mode(value: Any) -> int:
     mode = int(value[-3:], 8)
     if mode & 0o600 != 0o600:
         raise ValueError(
-            f'{value!r} does not let the bridge, as owner, read and write; use a mode such as "0660"'
+            f'{value!r} denies the owner, the bridge, read or write access; use a mode such as "0660"'
         )
     if mode & 0o111:
         raise ValueError(

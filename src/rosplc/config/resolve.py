@@ -441,7 +441,7 @@ def _id(config: Config, key: str, kind: str, find: Callable[[str], int]) -> int 
             return find(given)
         except KeyError:
             what = f"there is no {kind} {given!r} on this machine"
-            remedy = "Create it, or choose another; `getent passwd` and `getent group` list them."
+            remedy = "Create it, or choose another; `getent passwd` and `getent group` list users and groups."
             raise Absent("CFG004", what, where=place, remedy=remedy) from None
     # -1 and its unsigned twin would mean "leave it as it is" to the kernel.
     if given is not None and not 0 <= given <= _LARGEST_ID:

@@ -88,7 +88,7 @@ def _absolute(what: str) -> AfterValidator:
         if not re.fullmatch(_TOPIC, name):
             nearest = "/" + "/".join(part for part in re.sub(r"[^A-Za-z0-9_/]", "_", name).split("/") if part)
             hint = f", such as {nearest!r}" if re.fullmatch(_TOPIC, nearest) else ""
-            raise ValueError(f"{what} start with / and have letters, digits, _ and single slashes{hint}")
+            raise ValueError(f"{what} start with / and contain letters, digits, _ and single slashes{hint}")
         return name
 
     return AfterValidator(check)
@@ -221,7 +221,7 @@ class ZenohSettings(_Section):
         None, "Addresses to listen on, such as `tcp/0.0.0.0:0`."
     )
     config: Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)] | None = _f(
-        None, "A Zenoh configuration file (JSON5), relative to this file; the keys above override it."
+        None, "Path of a Zenoh configuration file (JSON5), relative to this file; the keys above override it."
     )
 
 
@@ -241,21 +241,21 @@ class RosSettings(_Section):
 
     backend: BackendName = _f(
         "auto",
-        "How to reach ROS. `auto` chooses by distribution, environment and installed packages; `rosplc "
-        "check` shows the choice and the reason. `memory` is for tests within one process.",
+        "The backend that connects to ROS. `auto` selects it by distribution, environment and installed "
+        "packages; `rosplc check` shows the choice and the reason. `memory` is for tests within one process.",
     )
     distro: Distro = _f("jazzy", "The distribution whose message definitions apply; `noetic` is ROS 1.")
     domain: StrictInt | None = _f(None, "The ROS domain. Default: `ROS_DOMAIN_ID`, else 0.", ge=0, le=232)
-    node_name: NodeName | None = _f(None, "The node's name. Default: `rosplc_` and the bridge's name.")
+    node_name: NodeName | None = _f(None, "The node's name. Default: `rosplc_` plus the bridge's name.")
     namespace: NamespaceName = _f(
         "/", "The node's namespace; it does not affect the topics in this file, which are absolute."
     )
     remap: dict[GraphName, GraphName] = _f(
         {},
-        "Topic → new topic, like `-r from:=to`, which takes precedence. Names in the PLC do not change.",
+        "Topic → new topic, like `-r from:=to`, which overrides this key. Names in the PLC do not change.",
         max_length=MOST_REMAPPINGS,
     )
-    zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; with them, `auto` selects it.")
+    zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; if set, `auto` selects it.")
     rclpy: RclpySettings | None = _f(None, "Settings of the `rclpy` backend.")
 
 
@@ -264,8 +264,8 @@ class TypesSettings(_Section):
 
     paths: tuple[Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)], ...] = _f(
         (),
-        "Custom `.msg`, `.srv` and `.action` files, relative to this file: a folder with "
-        "`pkg/msg/Name.msg` files, a package or a file.",
+        "Paths of custom `.msg`, `.srv` and `.action` files, relative to this file: folders with "
+        "`pkg/msg/Name.msg` files, packages' folders or single files.",
         max_length=MOST_PATHS,
     )
 
@@ -284,13 +284,13 @@ class ShmSettings(_Section):
         "0660", "Permission bits, as text. If the PLC runs as another user, set a common `group`."
     )
     owner: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
-        None, "User that owns the objects, by name or number; another user requires root."
+        None, "User that owns the objects, by name or number. Only root can give objects to another user."
     )
     group: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
         None, "Group that owns the objects, by name or number."
     )
     directory: Annotated[str, _pattern(r"/.*", "an absolute path", LONGEST_TEXT)] = _f(
-        "/dev/shm", "The folder of the objects; change it only for tests and containers."
+        "/dev/shm", "The folder that contains the objects; change it only for tests and containers."
     )
 
 
@@ -303,8 +303,8 @@ class DiagnosticsSettings(_Section):
     )
     debounce_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "500ms",
-        "How long a source must be silent beyond `stale_after` before its level changes, and how long it "
-        "must send again before the level returns, 1ms to 1h. A single late message has no effect.",
+        "How long a source must be silent beyond `stale_after` before its diagnostic level changes, and "
+        "how long it must send again before the level recovers, 1ms to 1h. One late message has no effect.",
     )
 
 
@@ -337,7 +337,7 @@ class RealtimeSettings(_Section):
         None, "`fifo`: SCHED_FIFO, ahead of ordinary processes; it requires permission (SYS010)."
     )
     priority: StrictInt = _f(
-        20, "SCHED_FIFO priority, 1 to 99. CODESYS tasks use 52 to 67; choose a lower one.", ge=1, le=99
+        20, "SCHED_FIFO priority, 1 to 99. CODESYS tasks use 52 to 67; choose a lower value.", ge=1, le=99
     )
     affinity: tuple[Annotated[StrictInt, Field(ge=0, le=4095)], ...] = _f(
         (), "Processors that these threads may run on, such as `[1]`. Default: all."
@@ -378,20 +378,20 @@ class QosSettings(_Section):
     durability: Literal["volatile", "transient_local"] | None = _f(
         None,
         "Whether the middleware keeps messages for late subscribers; with `to: plc`, the bridge requests "
-        "this. Default: from `latched` if it is set, else from preset or direction.",
+        "this from publishers. Default: from `latched` if that is set, else from preset or direction.",
     )
     depth: StrictInt | None = _f(
         None, "The maximum number of queued messages (in ROS 1: `queue_size`).", ge=1, le=100_000
     )
     deadline_ns: Interval | None = _f(
         None,
-        "`dds` only: the longest time between two messages. `to: plc` requests it and ignores publishers "
-        "that do not offer it; `to: ros` offers it. Missed deadlines are counted.",
+        "`dds` only: the longest time between messages. With `to: plc`, the bridge requests it and ignores "
+        "publishers that do not offer it; with `to: ros`, it offers it. Missed deadlines are counted.",
     )
     lease_ns: Annotated[Duration, between("100ms", "1h")] | None = _f(
         None,
-        "`dds` only: how long after its last sign of life a publisher counts as gone (automatic "
-        "liveliness), 100ms to 1h. Requested and offered like `deadline`.",
+        "`dds` only: how long after its last sign of life a publisher is considered lost (automatic "
+        "liveliness), 100ms to 1h. The bridge requests or offers it like `deadline`.",
     )
 
 
@@ -409,7 +409,7 @@ class ClassicSettings(_Section):
     semaphore: SharedName | None = _f(
         None,
         "Name of the semaphore, without `sem.`. Default: the name of the shared memory. `none`: no lock "
-        "protects it, as in the CODESYS sample.",
+        "protects the memory, as in the CODESYS sample.",
     )
     wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
         "5ms", "How long a side tries to acquire the lock before giving up until its next cycle, 100us to 1s."
@@ -452,7 +452,7 @@ class TopicSettings(_Section):
 
     type: TypeName = Field(description="The message type, `package/msg/Name`.")
     to: Literal["plc", "ros"] = Field(description="The direction in which messages are carried.")
-    task: TaskName | None = _f(None, "The PLC task that handles it. Default: the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that handles the topic. Default: the first of `tasks`.")
     limits: dict[str, StrictInt] = _f(
         {},
         "Capacities by field path (`name: 6`, `name[]: 32`, `points[].label: 20`); `string` and `sequence` "
@@ -467,25 +467,25 @@ class TopicSettings(_Section):
     )
     latched: bool | None = _f(
         None,
-        "Whether a message already in shared memory at startup is used. `to: plc`: a starting PLC takes "
-        "it as new. `to: ros`: a starting bridge publishes it again. With `classic`: towards ROS, the "
-        "content of the memory at startup counts as a message; towards the PLC, the last message is "
-        "written to a new memory. Default: whether `qos` requests transient local.",
+        "Whether a message already in shared memory at startup is used. `to: plc`: a starting PLC treats "
+        "it as new. `to: ros`: a starting bridge publishes it again. `classic` with `to: plc`: the bridge "
+        "writes the last message to a new memory. `classic` with `to: ros`: what the memory contains at "
+        "startup counts as a message. Default: whether `qos` requests transient local.",
     )
     every: bool | None = _f(
         None,
         "Whether every message is delivered, in order, or only the newest. "
-        "Default: true towards ROS, false towards the PLC.",
+        "Default: true with `to: ros`, false with `to: plc`.",
     )
     slots: StrictInt | None = _f(
         None,
         "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. Default: from "
-        "rate and task; towards ROS, enough for the bridge to pause for 200 ms.",
+        "rate and task; with `to: ros`, enough that a bridge can pause for 200 ms without loss.",
         ge=4,
         le=65536,
     )
     expected_rate_ns: Interval | None = _f(
-        None, "The highest rate of arriving messages. It only affects `slots`; `rate_limit` limits the rate."
+        None, "The highest rate at which messages arrive. Affects only `slots`; `rate_limit` limits the rate."
     )
     rate_limit_ns: Interval | None = _f(
         None,
@@ -494,9 +494,9 @@ class TopicSettings(_Section):
     )
     on_change: bool = _f(
         False,
-        "Pass a message on only if it differs from the previous one. Default with `classic` towards ROS: "
-        "true, since nothing else reveals a new message; `false` publishes at every poll, with the period of "
-        "`rate_limit`, else of `expected_rate`, else of the task.",
+        "Pass a message on only if it differs from the previous one. Default with `classic` and `to: "
+        "ros`: true, since nothing else reveals a new message; with `false`, the bridge publishes at every "
+        "poll, with the period of `rate_limit`, else of `expected_rate`, else of the task.",
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse", "Whether a message that exceeds a limit is refused and counted, or truncated and counted."
@@ -504,7 +504,7 @@ class TopicSettings(_Section):
     stale_after_ns: StaleAfter | None = _f(
         None,
         "Age at which the last message counts as stale, or `never`. "
-        "Default: `1s` towards the PLC, `never` towards ROS.",
+        "Default: `1s` with `to: plc`, `never` with `to: ros`.",
     )
     on_stale: OnStale = _f(
         None,
@@ -534,7 +534,7 @@ class TopicSettings(_Section):
 class ClientSettings(_Section):
     """One use of a service or action in the PLC's program."""
 
-    task: TaskName | None = _f(None, "The PLC task that uses it. Default: the task of the service or action.")
+    task: TaskName | None = _f(None, "The client's PLC task. Default: the task of the service or action.")
 
 
 def _clients(value: Any) -> Any:
@@ -556,7 +556,7 @@ class _CallSettings(_Section):
         "`server: ros`: the clients in the PLC program, each with its own block and objects: `[pick, "
         "place]`, or `{pick: {task: Fast}}`. Default: a single client without a name.",
     )
-    task: TaskName | None = _f(None, "The PLC task that handles it. Default: the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that handles the calls. Default: the first of `tasks`.")
     limits: dict[str, StrictInt] = _f(
         {},
         "Capacities by field path (`request.name: 6`, `response.message: 200`; for an action `goal.name: "
@@ -564,9 +564,9 @@ class _CallSettings(_Section):
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse",
-        "What happens to data from ROS that exceeds a limit. `truncate`: it is cut. `refuse`: a request "
-        "or goal is refused; on a response, the PLC's call ends as `UNREADABLE`; the PLC's goal ends "
-        "without a result; feedback is dropped.",
+        "What happens to data from ROS that exceeds a limit. `truncate`: it is truncated. `refuse`: requests "
+        "and goals are refused, and feedback is dropped; the PLC's call ends as `UNREADABLE` if the response "
+        "is too large, the PLC's goal without a result if the result is.",
     )
 
 
@@ -575,7 +575,7 @@ class ServiceSettings(_CallSettings):
 
     type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
     depth: StrictInt = _f(
-        16, "`server: plc`: maximum number of waiting and running calls; others are refused.", ge=1, le=1000
+        16, "`server: plc`: maximum of waiting and running calls; further calls are refused.", ge=1, le=1000
     )
     per_client: StrictInt | None = _f(
         None,
@@ -603,8 +603,8 @@ class ActionSettings(_CallSettings):
     type: ActionTypeName = Field(description="The action type, `package/action/Name`.")
     on_new_goal: Literal["reject", "abort", "buffer"] = _f(
         "reject",
-        "`server: plc`: what happens to a goal that arrives while the PLC has another. `reject`: it is "
-        "rejected. `abort`: the PLC is asked to end its goal (`xPreempt`) and then gets the new one. "
+        "`server: plc`: what happens to a goal that arrives while the PLC has another goal. `reject`: "
+        "it is rejected. `abort`: the PLC is asked to end its goal (`xPreempt`) and then gets the new one. "
         "`buffer`: the new goal waits.",
     )
     queue: StrictInt | None = _f(
@@ -631,15 +631,15 @@ class ParameterSettings(_Section):
     type: Kind = Field(description="The type, one of `rcl_interfaces/msg/ParameterType`.")
     value: Any = _f(None, "The initial value, also in the PLC code. Default: zero, false or empty.")
     range: Annotated[tuple[StrictInt | float, ...], Field(min_length=2, max_length=3)] | None = _f(
-        None, "For an integer or double: `[least, greatest]`, or `[least, greatest, step]`."
+        None, "Allowed range of an integer or double: `[minimum, maximum]` or `[minimum, maximum, step]`."
     )
-    read_only: bool = _f(False, "Whether only the PLC program may change it.")
+    read_only: bool = _f(False, "Whether only the PLC program may change the value.")
     description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "A description for users.")
     capacity: StrictInt | None = _f(
         None, "Maximum number of elements of an array. Default: `limits.sequence`.", ge=1, le=1 << 24
     )
     length: StrictInt | None = _f(
-        None, "Maximum bytes of each string. Default: `limits.string`.", ge=1, le=65534
+        None, "Maximum length of each string in bytes. Default: `limits.string`.", ge=1, le=65534
     )
 
 
@@ -651,7 +651,7 @@ class ParametersSettings(_Section):
         "Which values apply at the first start. `file`: those of this file, `--params-file` and `-p`; "
         "after a restart, the PLC gets the last values again. `plc`: always the PLC's initial values.",
     )
-    task: TaskName | None = _f(None, "The PLC task that uses them. Default: the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that uses the parameters. Default: the first of `tasks`.")
     declare: dict[ParameterName, ParameterSettings] = _f(
         {}, "The parameters by name.", max_length=MOST_SERVICES
     )
@@ -666,13 +666,13 @@ class TransformSettings(_Section):
         "50Hz", "How often the PLC gets the pose, such as `100Hz` or `10ms`."
     )
     max_age_ns: StaleAfter = _f("1s", "Age at which a pose that is not static becomes invalid, or `never`.")
-    task: TaskName | None = _f(None, "The PLC task that reads it. Default: the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that reads the pose. Default: the first of `tasks`.")
 
 
 class Settings(_Section):
     """A whole configuration file."""
 
-    bridge: Word = _f("rosplc", "The bridge's name, in logs, diagnostics and the node's name.")
+    bridge: Word = _f("rosplc", "The bridge's name, used in logs, diagnostics and the node's name.")
     prefix: Word = _f(
         "rosplc",
         "Prefix of the objects' names, so that two cells on one machine can both carry `/cmd_vel`.",
@@ -685,7 +685,7 @@ class Settings(_Section):
         "1ms", "How often the bridge polls for messages from the PLC, 50us to 1s."
     )
     beat_ns: Annotated[Duration, between("10ms", "10s")] = _f(
-        "100ms", "Heartbeat period, 10ms to 10s; after three missed beats, the bridge counts as gone."
+        "100ms", "Heartbeat period, 10ms to 10s; after three missed heartbeats, the bridge counts as gone."
     )
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
     rosout: RosoutSettings = _f({}, "Logs in ROS.")

@@ -212,10 +212,10 @@ class _Examination:
         uid, gid = wanted.uid, wanted.gid
         what = remedy = command = ""
         if self._uid != 0 and uid not in (None, self._uid):
-            what = f"shm.owner is {settings.owner}, and {who} may not give files to this user"
+            what = f"shm.owner is {settings.owner}, and {who} cannot give files to that user"
             remedy = f"Start the bridge as {settings.owner}, or remove shm.owner."
         elif self._uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
-            what = f"shm.group is {settings.group}, and {who} is not a member"
+            what = f"shm.group is {settings.group}, but {who} is not a member of it"
             remedy = "Add the bridge's user to the group, and log in again."
             command = f"sudo usermod --append --groups {settings.group} {who}"
         well = "objects can be given to the configured owner and group"

@@ -104,7 +104,7 @@ def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
         if end.obstacles:
             yield found("DOC521", f"{does} {'; '.join(end.obstacles)} [ROS021]")
         if _ANY not in (end.type_name, type_name) and end.type_name != type_name:
-            yield found("DOC512", f"{does} as {end.type_name}, but here it is {type_name} [ROS003]")
+            yield found("DOC512", f"{does} as {end.type_name}, but {type_name} is configured [ROS003]")
 
 
 def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator[Finding]:
@@ -137,10 +137,10 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
         return found("DOC518", f"{who} {verb} {end.topic}, whose type is unknown")
     if end.type_name != plan.type_name:
         remedy = f"Write `type: {end.type_name}` for {plan.topic}, or change the node."
-        return found("DOC512", f"{does}, but here it is {plan.type_name} [ROS003]", remedy)
+        return found("DOC512", f"{does}, but {plan.type_name} is configured [ROS003]", remedy)
     if ours and end.type_hash and ours != end.type_hash:
         there, here = end.type_hash[7:15], ours[7:15]
-        what = f"{does} with another definition (type hash {there}… there, {here}… here) [ROS003]"
+        what = f"{does} with another definition (type hash {there}…, locally {here}…) [ROS003]"
         return found("DOC513", what, command=f"ros2 interface show {end.type_name}")
     offered, requested = (end.qos, plan.qos) if end.direction == "out" else (plan.qos, end.qos)
     problem = incompatibility(offered, requested)
@@ -158,7 +158,7 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
             remedy = f"Write `qos: {{{settings}}}` for {plan.topic}."
         return found("DOC514", f"{does}, but {obstacles} [ROS004]", remedy)
     if not (ours and end.type_hash):
-        return found("DOC518", f"{does}, without announcing its definition")
+        return found("DOC518", f"{does}, but does not announce its definition")
     return None
 
 
@@ -213,7 +213,7 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
         # Written by this module, in a process of our own; a library may have printed something before it.
         answer = pickle.loads(base64.b64decode(done.stdout.rpartition(b"\n")[2], validate=True))
     except (ValueError, EOFError, pickle.UnpicklingError):
-        what = f"the process examining the graph exited with {done.returncode}: {words or 'no output'}"
+        what = f"the process examining the graph exited with status {done.returncode}: {words or 'no output'}"
         raise BackendError("ROS002", what) from None
     if isinstance(answer, RosplcError):
         if words and answer.code == "ROS002":  # what the library wrote would be lost with the process

@@ -50,7 +50,7 @@ _register("DOC003", _A, _N, "resources that only another user may read", "This u
 _A = Area.MACHINE
 _register("DOC101", _A, _W, "kernel and architecture", "rosplc is tested on x86-64 and, with cross-compilers and an emulator, on ARM. The shared-memory format requires a little-endian machine.", "Run rosplc on x86-64 or ARM.")
 _register("DOC102", _A, _N, "word size of kernel and programs", "The kernel is 64-bit and this Python is 32-bit, as on many single-board computers. Channels work; the semaphore of a classic topic requires the same word size on both sides.", "No action needed unless a classic topic is used with a 64-bit PLC runtime.")
-_register("DOC103", _A, _W, "the clock", "The clock shows a time before this release: message time stamps are wrong, and will jump when the clock is set.", "Set the clock.")
+_register("DOC103", _A, _W, "the clock", "The clock shows a time earlier than this release: message time stamps are wrong, and will jump when the clock is set.", "Set the clock.")
 _register("DOC104", _A, _E, "open files", "A bridge keeps several files and sockets open per topic; if the limit is too low, the bridge exits with SYS006.", "Raise the limit in the shell or the service that starts the bridge.")
 _register("DOC105", _A, _N, "real-time permissions", "Without these permissions, a bridge runs at normal priority; a busy PLC can delay its messages.", "No action needed unless delays of a few milliseconds matter.")
 _register("DOC106", _A, _W, "logout", "When the last session of an ordinary user ends, systemd removes everything that the user owns in /dev/shm, including objects of a running bridge.", "Run the bridge as a system user, or disable RemoveIPC in systemd.")
@@ -67,7 +67,7 @@ _register("DOC204", _A, _W, "free space", "Less than a tenth of /dev/shm is free
 _register("DOC205", _A, _N, "objects without a bridge", "A stopped bridge leaves its objects in place, so that the PLC keeps the last values. The bridge reuses the objects at its next start.", "No action needed if the bridge will start again; otherwise remove the objects.")
 _register("DOC206", _A, _W, "objects that are not in the configuration", "The objects have the configuration's prefix, but belong to none of its topics: another bridge uses this prefix, or a topic was removed from the configuration.", "Remove the objects if no other configuration uses this prefix.")
 _register("DOC207", _A, _N, "temporary files", "A bridge was killed while it was creating an object. The bridge removes these files at its next start.", "Start the bridge, or remove the files.")
-_register("DOC208", _A, _N, "retired objects", "A bridge was killed after it retired an object and before it created the successor. The bridge replaces such objects at its next start.", "Start the bridge.")
+_register("DOC208", _A, _N, "retired objects", "A bridge was killed after it retired an object and before it created the object's successor. The bridge replaces such objects at its next start.", "Start the bridge.")
 _register("DOC209", _A, _W, "objects of another user", "No bridge uses these objects, and a bridge of this user could not reuse them (SHM119).", "Start the bridge as their owner, or remove the objects.")
 _register("DOC210", _A, _W, "objects accessible to all users", "Every user on this machine can read or change the data that the robot and the PLC exchange.", "Restrict shm.mode, and give the objects to one group.")
 _register("DOC211", _A, _E, "damaged objects", "Another program wrote into the objects, or uses their names; the PLC rejects such objects.", "Restart the bridge: it replaces its own objects.")
@@ -84,7 +84,7 @@ _register("DOC301", _A, _N, "CODESYS runtime", "No process named codesyscontrol 
 _register("DOC302", _A, _N, "word size of the runtime", "The PLC runtime is 32-bit and the kernel is 64-bit. Channels work; a semaphore of a classic topic cannot be shared with a 64-bit bridge.", "Use the default channel for topics that are now classic.")
 _register("DOC303", _A, _E, "permissions of the PLC user", "The user of the PLC runtime has no permission to read and write the objects, which the PLC blocks require (SHM102).", "Give the objects to a group that this user is in.")
 _register("DOC304", _A, _E, "the same /dev/shm as the PLC", "The runtime uses a different /dev/shm, for example in a separate container: neither side can see the other's objects.", "Let the containers share /dev/shm.")
-_register("DOC305", _A, _N, "the doctor's container", "A container has its own /dev/shm, processes and network unless it was started with shared ones.", "Share these with the PLC runtime, and make /dev/shm large enough.")
+_register("DOC305", _A, _N, "the doctor's container", "Unless it was started with shared ones, a container has its own /dev/shm, processes and network.", "Start the container so that it shares these with the PLC runtime, and make /dev/shm large enough.")
 
 _A = Area.ROS
 _register("DOC401", _A, _W, "ROS_DISTRO", "The ROS distribution of the shell differs from ros.distro. The bridge uses the message definitions of ros.distro.", "Set ros.distro to the installed distribution, or source setup.bash of the configured distribution.")
@@ -105,17 +105,17 @@ _register("DOC502", _A, _E, "owner and group of the objects", "The configured us
 
 _A = Area.GRAPH
 _register("DOC510", _A, _E, "connecting to the ROS graph", "The doctor could not connect to the graph; the bridge probably cannot either.", "See the message.")
-_register("DOC511", _A, _W, "peers in ROS", "A topic towards the PLC has no publisher, or a topic from the PLC has no subscriber.", "Start the node, and check the topic name and the domain.")
+_register("DOC511", _A, _W, "peers in ROS", "A topic that the PLC reads has no publisher, or a topic that the PLC writes has no subscriber.", "Start the node, and check the topic name and the domain.")
 _register("DOC512", _A, _E, "types of topics", "Another node uses the topic with a different type (ROS003); no messages are exchanged.", "Correct `type:` of the topic, or change the node.")
 _register("DOC513", _A, _E, "definitions of types", "Another node has a different definition of the type (ROS003); no messages are exchanged.", "Install the same message package on both sides, or correct ros.distro or types.paths.")
 _register("DOC514", _A, _E, "quality of service", "The QoS of publisher and subscriber is incompatible (ROS004); no messages are exchanged.", "Set `qos:` of the topic as shown.")
 _register("DOC515", _A, _W, "names of topics", "No node uses the topic, but the graph has one with a similar name.", "Correct the name in the configuration, or use ros.remap.")
 _register("DOC516", _A, _W, "nodes in the graph", "No other node was seen.", "Start the robot's nodes; if they are running, check the domain, backend, container and firewall.")
 _register("DOC517", _A, _W, "the bridge in the graph", "A bridge is running with this configuration, but its node is not visible from here: it is in another domain or uses another protocol.", "Start the bridge and the doctor with the same environment.")
-_register("DOC518", _A, _N, "unknown definitions", "The other side does not announce its definition of the type (Humble, ROS 1), so only the name was compared.", "No action needed: the bridge reports mismatches in /diagnostics.")
+_register("DOC518", _A, _N, "unknown definitions", "The other side does not announce its definition of the type (Humble, ROS 1), so only the type names were compared.", "No action needed: the bridge reports mismatches in /diagnostics.")
 _register("DOC519", _A, _W, "servers in the ROS graph", "The PLC calls a service or action that no node serves. Calls from the PLC wait until they time out.", "Start the node, and check the name, type and domain.")
 _register("DOC520", _A, _W, "number of servers", "A service or action has several servers (ROS022): each server executes every request, and the first response counts.", "Stop all servers but one, or rename the services of the others.")
-_register("DOC521", _A, _E, "services over another DDS", "A peer uses a DDS implementation other than Cyclone, with a different protocol for services (ROS021): calls between it and the bridge do not work.", "Set ros.backend: rclpy.")
+_register("DOC521", _A, _E, "services over another DDS", "A peer uses a DDS implementation other than Cyclone DDS, with a different protocol for services (ROS021): calls between it and the bridge do not work.", "Set ros.backend: rclpy.")
 
 _A = Area.LIVE
 _register("DOC601", _A, _N, "bridge of the configuration", "No bridge is running, or the running bridge carries only some of the topics. If the level is error, the bridge has no heartbeat. Without a configuration, every bridge on the machine is examined.", "Start the bridge.")
@@ -128,8 +128,8 @@ _A = Area.CODE
 _register("DOC701", _A, _E, "generated code", "The folder contains no code from `rosplc generate`, or the code cannot be read.", "Specify the output folder of `rosplc generate`.")
 _register("DOC702", _A, _E, "the code's layouts and the configuration's", "The layouts differ: the PLC would reject these objects (SHM112).", "Generate the code again, import it and download it.")
 _register("DOC703", _A, _E, "the code's layouts and the running bridge's", "The layouts differ: the PLC would reject these objects (SHM112).", "Restart the bridge with the configuration that the code was generated from, or generate the code again.")
-_register("DOC704", _A, _E, "completeness of the code", "The configuration has topics, services or actions without a block in the code, or with one for the other direction.", "Generate the code again, import it and download it.")
+_register("DOC704", _A, _E, "completeness of the code", "The configuration has topics, services or actions without a block in the code, or with a block for the other direction.", "Generate the code again, import it and download it.")
 _register("DOC705", _A, _W, "blocks that are only in the code", "The code has blocks for topics, services or actions that are not in the configuration; these blocks never connect (SHM101).", "Generate the code again, or add the entries to the configuration.")
-_register("DOC706", _A, _E, "the code's prefix", "The prefix in the code differs from the configuration's, so the blocks do not find the objects (SHM101).", "Generate the code again.")
+_register("DOC706", _A, _E, "the code's prefix", "The prefix in the code differs from the prefix in the configuration, so the blocks do not find the objects (SHM101).", "Generate the code again.")
 _register("DOC707", _A, _W, "the code's memory fences", "The code was generated for x86, but this is an ARM machine, where the code's memory fence has no effect.", "Generate the code for ARM.")
 _register("DOC708", _A, _N, "contents of the generated files", "The layouts agree, but a file differs from what this release would generate.", "No action needed if the file was edited on purpose; otherwise generate the code again.")

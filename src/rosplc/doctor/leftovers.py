@@ -46,7 +46,7 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     left = [each for each in idle if each not in retired and each not in strangers]
     if unknown:
         what = plural(len(unknown), "object")
-        yield found("DOC003", f"cannot find out which process uses {what}: /proc/locks cannot be read")
+        yield found("DOC003", f"cannot determine which process uses {what}: /proc/locks cannot be read")
     what = f"no running bridge uses {plural(len(left), 'object')}: {_names(left)}" if left else ""
     yield judged("DOC205", what, "every object belongs to a running bridge", command=_clean(left, objects))
     what = f"neither in use nor in the configuration: {_names(strangers)}" if strangers else ""
@@ -128,7 +128,7 @@ def ownership(
     names = listed(sorted({user_name(seen.status.st_uid) for seen in others}))
     what = f"owned by {names}: {listed(seen.label for seen in others)}" if others else ""
     command = _clean(others, objects, root=not root)
-    yield judged("DOC209", what, "no object of another user is in the way", command=command)
+    yield judged("DOC209", what, "no object of another user blocks the bridge", command=command)
     open_ = {seen.label: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
     who = "change" if max(open_.values(), default=0) & 0o002 else "read"
     what = f"all users can {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
@@ -184,7 +184,7 @@ def sizes(directory: Path, plans: Sequence[tuple[str, ClassicPlan, int]]) -> Ite
     for topic, plan, record in plans:
         path = directory / plan.name
         if path.is_file() and (size := path.stat().st_size) < record:
-            what = f"{topic}: {path} has {size} bytes, but the record has {record}"
+            what = f"{topic}: {path} has {size} bytes, but the record needs {record}"
             small.append(found("DOC217", what, command=_remove(path)))
     yield from small or [fine("DOC217", "the shared memory of classic topics is large enough")]
 

@@ -78,7 +78,7 @@ def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding
     may_run = priority != 0 or capabilities >> _CAP_SYS_NICE & 1
     may_lock = locked == resource.RLIM_INFINITY or locked >= _ENOUGH or capabilities >> _CAP_IPC_LOCK & 1
     amount = "any amount" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
-    seen = f"permitted: real-time priority {priority} at most, {amount} of locked memory"
+    seen = f"permitted: real-time priority up to {priority}, {amount} of locked memory"
     remedy = "If real time matters, set LimitRTPRIO= and LimitMEMLOCK= in the systemd unit."
     well = "real-time priority and locked memory are permitted"
     yield judged("DOC105", "" if may_run and may_lock else seen, well, remedy)
@@ -97,7 +97,7 @@ def logout(root: Path, uid: int, user: str) -> Iterator[Finding]:
     elif uid < _FIRST_PERSON or uid in _SERVICES:
         yield fine("DOC106", f"{user} is a system user, so systemd does not remove its objects")
     elif (root / "var/lib/systemd/linger" / user).exists():
-        yield fine("DOC106", f"{user} has lingering enabled, so systemd removes nothing")
+        yield fine("DOC106", f"{user} has lingering enabled, so systemd does not remove its objects")
     else:
         seen = f"RemoveIPC=yes ({where}), and {user} is an ordinary user"
         remedy = "Run the bridge as a system user (`rosplc service install`), or enable lingering."
@@ -166,7 +166,7 @@ def room(directory: Path, space: os.statvfs_result, needed: int, present: int) -
         mib = -(-(size + 2 * missing) // _MIB)
         remedy = "Enlarge it (containers: --shm-size), or lower the limits or depth of topics."
         command = f"sudo mount -o remount,size={mib}m {directory}"
-        what = f"{seen}; the configuration's objects need {_mib(missing)} more"
+        what = f"{seen}; the configuration's objects need another {_mib(missing)}"
         yield found("DOC203", what, remedy, command)
     elif size and free < size / 10:
         yield found("DOC204", seen, command=f"ls -lS {directory}")
@@ -256,7 +256,7 @@ def backend(
         yield found("DOC112", error.what, error.remedy, level=level)
         return
     usable = ", ".join(name for name in BACKENDS if name != "memory" and not missing(name))
-    yield fine("DOC112", f"backend auto is {choice.name}, because {choice.why}; usable: {usable}")
+    yield fine("DOC112", f"backend auto selects {choice.name}, because {choice.why}; usable: {usable}")
 
 
 def pip_here(text: str) -> str:

@@ -211,7 +211,7 @@ def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -
     """
     default = default_buffer(root)
     if not default:
-        what = "net.core.rmem_default cannot be read here"
+        what = "net.core.rmem_default cannot be read in this environment"
         yield found("DOC003", what, "Run the doctor outside the container.")
         return
     ours = cyclone_buffer(root) if cyclone else default

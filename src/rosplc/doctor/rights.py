@@ -130,7 +130,7 @@ def runtimes(seen: Sequence[Runtime], machine_bits: int, *, classic: bool) -> It
     who = (f"{each.name} (process {each.pid}, user {user_name(each.uid)})" for each in seen)
     yield fine("DOC301", f"running: {listed(who)}")
     for each in (each for each in seen if not each.bits):
-        yield found("DOC003", f"cannot find out the word size of process {each.pid} ({each.name})")
+        yield found("DOC003", f"cannot determine the word size of process {each.pid} ({each.name})")
     narrow = [each for each in seen if each.bits == 32 and machine_bits == 64]
     what = f"{narrow[0].name} (process {narrow[0].pid}) is 32-bit on a 64-bit kernel" if narrow else ""
     level = Level.ERROR if classic else None
@@ -169,7 +169,7 @@ def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]
     """
     hidden = [each for each in seen if each.shm is None]
     for each in hidden:
-        yield found("DOC003", f"cannot find out which /dev/shm process {each.pid} ({each.name}) uses")
+        yield found("DOC003", f"cannot determine which /dev/shm process {each.pid} ({each.name}) uses")
     for each in seen:
         if each.shm is not None and own is not None and each.shm.device != own.device:
             yield found("DOC304", f"{each.name} (process {each.pid}) has its own /dev/shm", _SHARE)

@@ -143,10 +143,10 @@ def explain(
     # The peer is called ``name``, or by its node. What the middleware has ``matched`` has settings that fit.
     does = describe(peer, name)
     if peer.type_name != ours.type_name:
-        return "ROS003", f"{does}, but here it is {ours.type_name}"
+        return "ROS003", f"{does}, but the local type is {ours.type_name}"
     if differs(ours.type_hash, peer.type_hash):
         here, there = map(_short, (ours.type_hash, peer.type_hash))
-        return "ROS003", f"{does} with another definition (type hash {there} there, {here} here)"
+        return "ROS003", f"{does} with another definition (type hash {there}, locally {here})"
     if matched:
         return None
     offered, requested = (peer.qos, ours.qos) if peer.direction == "out" else (ours.qos, peer.qos)

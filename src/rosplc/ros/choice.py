@@ -116,7 +116,7 @@ def _candidates(
         why = "ROS_SECURITY_ENABLE is true"
         return ("rclpy",), why, unfit | dict.fromkeys(("dds", "zenoh"), "does not support ROS 2 security")
     if zenoh_settings:
-        why = "the configuration has settings for it in ros.zenoh"
+        why = "the configuration has settings in ros.zenoh"
         return ("zenoh",), why, unfit | dict.fromkeys(("dds", "rclpy"), "does not read ros.zenoh")
     if rmw == "rmw_zenoh_cpp":
         return ("zenoh", "rclpy"), f"RMW_IMPLEMENTATION is {rmw}", unfit | {"dds": "does not support Zenoh"}

@@ -79,7 +79,7 @@ class Parameter:
         if kind != self.kind:
             return f"{self.name} is of type {self.kind} and cannot change to {kind}"
         if kind.endswith("_array") and len(value) > self.most:
-            return f"{self.name} can have {self.most} elements, not {len(value)}"
+            return f"{self.name} can have at most {self.most} elements, not {len(value)}"
         texts = [value] if kind == "string" else value if kind == "string_array" else []
         if any(len(text.encode(errors="surrogateescape")) > self.longest for text in texts):
             return f"the text for {self.name} has more than {self.longest} bytes"

@@ -106,7 +106,7 @@ def test_values_and_refusals(cell: Cell) -> None:
         ("max_speed", 9.0, "max_speed must be within 0.0 … 2.0"),
         ("count", "many", "'many' is not of type integer"),
         ("serial", "B", "it is read-only"),
-        ("arm/gains", "[1, 2, 3, 4]", "arm.gains can have 3 elements, not 4"),
+        ("arm/gains", "[1, 2, 3, 4]", "arm.gains can have at most 3 elements, not 4"),
     ):
         cell.set(name, value)
         cell.until_values(INITIAL | NEW)

@@ -172,8 +172,10 @@ def test_peers_of_another_type_are_named(ros1: Graph, node: OpenNode, kind: str)
     up = cell.subscribe("/up", STRING, DEEP, inbox)
     down = cell.advertise("/down", STRING, DEEP)
     wait_for(lambda: (up.status().code, down.status().code) == ("ROS003", "ROS003"))
-    assert up.status().reason == f"node /odd publishes /up as std_msgs/msg/Int32, but here it is {STRING}"
-    words = f"node /odd subscribes to /down as std_msgs/msg/Int32, but here it is {STRING}"
+    assert (
+        up.status().reason == f"node /odd publishes /up as std_msgs/msg/Int32, but the local type is {STRING}"
+    )
+    words = f"node /odd subscribes to /down as std_msgs/msg/Int32, but the local type is {STRING}"
     assert down.status().reason == words
     said.write(bytes(4))
     assert down.write(string("x"))
@@ -192,7 +194,7 @@ def test_another_definition_is_named_with_both_sums(ros1: Graph, node: OpenNode)
     cell = node("cell", newer)
     up, down = cell.subscribe("/up", PART, DEEP, Inbox()), cell.advertise("/down", PART, DEEP)
     wait_for(lambda: (up.status().code, down.status().code) == ("ROS003", "ROS003"))
-    sums = f"with another definition (md5 {PART_STORE.md5(PART)} there, {newer.md5(PART)} here)"
+    sums = f"with another definition (md5 {PART_STORE.md5(PART)}, locally {newer.md5(PART)})"
     assert up.status().reason == f"node /old publishes /up as {PART} {sums}"
     assert down.status().reason == f"node /old subscribes to /down as {PART} {sums}"
 

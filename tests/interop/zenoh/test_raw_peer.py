@@ -141,7 +141,7 @@ def test_subscriber_counts_when_messages_reach_it(node: Backend, raw: RawPeer) -
     raw.show("MS", "/marker")  # later news, of which none is passed over
     wait_for(lambda: {"/data", "/marker"} <= set(node.graph().topics) and "/raw" in node.graph().nodes)
     assert publisher.matched == 0
-    assert publisher.status().reason == "Zenoh is about to connect"
+    assert publisher.status().reason == "Zenoh is still connecting"
     heard = raw.listen("/data")
     wait_for(lambda: publisher.matched == 1)
     assert publisher.write(string("first"))

@@ -17,17 +17,17 @@ INT = "std_msgs/msg/Int32"
         ("to: plc, stale_after: never", "the PLC keeps the last message, and xStale is never set"),
         (
             "to: plc, on_stale: zero",
-            "after 1s every byte of the PLC's msg is zero, with xSubstituted and xStale, "
+            "after 1s every byte of the PLC's msg is zero, with xSubstituted and xStale set, "
             "whether or not the bridge runs",
         ),
         (
             "to: plc, on_stale: {value: {data: 5}}",
-            'after 1s the PLC\'s msg is {"data": 5}, with xSubstituted and xStale, '
+            'after 1s the PLC\'s msg is {"data": 5}, with xSubstituted and xStale set, '
             "whether or not the bridge runs",
         ),
         (
             "to: plc, classic: true, on_stale: {value: {}}",
-            "after 1s the PLC's msg is the type's initial message, with xSubstituted and xStale, "
+            "after 1s the PLC's msg is the type's initial message, with xSubstituted and xStale set, "
             "whether or not the bridge runs; a record that does not change counts as silent",
         ),
         ("to: ros", "ROS receives nothing"),

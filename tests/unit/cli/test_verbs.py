@@ -177,7 +177,7 @@ def test_check_warns_of_what_is_probably_not_meant(config):
         "/text": {"type": "std_msgs/msg/String", "to": "plc", "on_overflow": "truncate"},
     }
     output = rosplc("check", config(topics=topics)).output
-    assert "Warning: /image: a record has" in output
+    assert "Warning: /image: a record is" in output
     assert "Warning: /text: on_overflow" in output
     assert "Warning: the file has no topics" in rosplc("check", config(topics={})).output
 

@@ -69,7 +69,7 @@ def test_what_stood_there_before_counts_where_it_is_asked_for() -> None:
         ("to: plc, classic: true, every: true", "every: true cannot be set with classic"),
         ("to: plc, classic: {name: a/b}", "at most 80 letters, digits"),
         ("to: plc, classic: {name: sem.a}", "or sem."),
-        ("to: plc, classic: {name: rosplc.t.a}", "reserved for this bridge's objects"),
+        ("to: plc, classic: {name: rosplc.t.a}", "reserved for the bridge's objects"),
         ("to: plc, classic: {wait: 2s}", "is not between 100us and 1s"),
         ("to: plc, classic: {recover_after: 1ms}", "is not between 20ms and 1h"),
         ("to: plc, classic: {lock: x}", "'lock' is not a valid key here"),

@@ -57,11 +57,11 @@ def test_values_become_records() -> None:
         ("to: plc, on_stale: {valeu: {}, value: {}}", ".valeu", "not a valid key here; did you mean 'value'"),
         ("to: plc, stale_after: never, on_stale: zero", "", "stale_after is never"),
         ("to: plc, on_change: true, on_stale: zero", "", "on_change drops equal messages"),
-        ("to: plc, rate_limit: 1s, on_stale: zero", "", "rate_limit allows a longer interval"),
+        ("to: plc, rate_limit: 1s, on_stale: zero", "", "the interval of rate_limit must be shorter"),
         (
             "to: ros, stale_after: 1s, rate_limit: 1s, on_stale: {value: {}, period: 1s}",
             "",
-            "rate_limit allows a longer interval",
+            "the interval of rate_limit must be shorter",
         ),
         ("to: ros, on_stale: {value: {}, period: 1s}", "", "the default for to: ros"),
         ("to: ros, stale_after: 1s, on_stale: {value: {}}", "", "'period' is missing"),

@@ -365,7 +365,7 @@ def test_log_out_concerns_people(stage: Stage, uid: int, linger: bool, found: bo
 def test_auto_says_why() -> None:
     """The finding about `auto` names the backend, the reason, and what could be used."""
     (finding,) = backend("jazzy", "auto", {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, missing=lambda name: "")
-    assert "backend auto is zenoh, because RMW_IMPLEMENTATION is rmw_zenoh_cpp" in finding.seen
+    assert "backend auto selects zenoh, because RMW_IMPLEMENTATION is rmw_zenoh_cpp" in finding.seen
     (finding,) = backend("noetic", "auto", {}, configured=False, missing=lambda name: "no module")
     assert finding.level is Level.WARNING and "install rosplc again" in finding.remedy
 

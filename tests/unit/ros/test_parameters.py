@@ -109,7 +109,7 @@ def test_names_are_listed_as_rclpy_lists_them(node: Node) -> None:
         (wish("speed", "double", 0.3), "speed must be 0.0 plus a multiple of 0.25"),
         (wish("count", "integer", 5), "count must be 1 plus a multiple of 3"),
         (wish("kinds.string", "string", "grüün"), "the text for kinds.string has more than 5 bytes"),
-        (wish("kinds.bool_array", "bool_array", [True] * 3), "can have 2 elements, not 3"),
+        (wish("kinds.bool_array", "bool_array", [True] * 3), "can have at most 2 elements, not 3"),
         ({"name": "speed", "value": {}}, "speed is of type double and cannot change to not set"),
     ],
 )

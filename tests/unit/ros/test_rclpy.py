@@ -165,9 +165,9 @@ def test_message_class_of_ros_1_is_told_apart(machine: Machine, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("theirs", "words"),
     [
-        ("int32 a\nfloat32 b\n", "field 2 is `float b` in the package, `int32 b` here"),
-        ("int32 b\nint32 a\n", "field 1 is `int32 b` in the package, `int32 a` here"),
-        ("int32 a\n", "`int32 b` exists only here"),
+        ("int32 a\nfloat32 b\n", "field 2: `float b` in the package, `int32 b` in the bridge"),
+        ("int32 b\nint32 a\n", "field 1: `int32 b` in the package, `int32 a` in the bridge"),
+        ("int32 a\n", "`int32 b` exists only in the bridge"),
         ("int32 a\nint32 b\nint32 c\n", "`int32 c` exists only in the package"),
     ],
 )

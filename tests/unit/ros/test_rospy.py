@@ -135,7 +135,7 @@ def test_types_are_compared_by_name_and_sum(theirs: tuple[str, str], code: str |
     found = mismatch("/peer", "publishes", "/t", theirs, ("a/msg/B", "1"))
     assert (found and found[0]) == code
     if found and theirs[1] == "2":
-        assert "md5 2 there, 1 here" in found[1]
+        assert "md5 2, locally 1" in found[1]
 
 
 # -- bytes on a connection

@@ -50,7 +50,7 @@ def obstacle() -> str:
         except (OSError, DDSException, BackendError) as error:
             why = f"the self-test of batches in C failed: {error}"
     if not why:
-        _logger.info("messages are passed in batches in C, tested with cyclonedds %s", found)
+        _logger.info("C code passes messages in batches, tested with cyclonedds %s", found)
         return ""
     why = f"messages are passed one by one, which takes more CPU: {why}"
     _logger.warning("%s", why)

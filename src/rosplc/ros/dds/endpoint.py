@@ -153,7 +153,7 @@ class DdsSubscription(BaseSubscription, Endpoint):
     def _problem(self) -> Problem:
         code, reason = BaseEndpoint._problem(self)
         if (rejected := self._rejected + self._unfit()) and not reason:
-            fits = f"do not fit the definition of {self.type_name} used here"
+            fits = f"do not fit the local definition of {self.type_name}"
             return "ROS003", f"{rejected} messages on {self.topic} {fits}"
         return code, reason
 
@@ -180,7 +180,7 @@ class DdsPublisher(BasePublisher, Endpoint):
         self._large = sys.maxsize
         text = (
             "%s: a message of %d bytes does not fit into a default receive buffer (net.core.rmem_default, %d "
-            "bytes): subscribers on Fast DDS lose parts of it; best_effort ones lose the whole message. "
+            "bytes): subscribers on Fast DDS lose parts of it; best_effort subscribers lose all of it. "
             "Raise net.core.rmem_default on their machines, or use reliable subscriptions"
         )
         self._node.logger.warning(text, self.topic, size, self._buffer)

@@ -35,7 +35,7 @@ _ORDER = (">Qq", "<Qq")
 _CALLER = struct.Struct("<Qq")
 _PATIENCE_NS = 100_000_000  # for a client's reply reader, as rmw_cyclonedds_cpp has it
 _DISCOVERY_NS = 2_000_000_000  # after which the clients of an earlier process have found the server
-_BUSY = Reply(None, "not executed", Reason.QUEUE_FULL, "a server is too slow for its requests")
+_BUSY = Reply(None, "not executed", Reason.QUEUE_FULL, "a server cannot keep up with its requests")
 
 
 def with_header(payload: bytes, client: int, number: int) -> bytes:

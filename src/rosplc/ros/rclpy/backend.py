@@ -135,7 +135,7 @@ class OwnNode:
         except ExternalShutdownException:
             pass
         except Exception:  # a defect; but the other topics have to go on
-            _logger.exception("serving the node %s failed", self.node.get_name())
+            _logger.exception("an error occurred while spinning node %s", self.node.get_name())
             self._clock.sleep(100_000_000)
         if self.context.ok() or self._stopping:
             return True

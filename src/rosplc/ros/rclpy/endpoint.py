@@ -393,7 +393,7 @@ def message_class(type_name: str) -> Any:
     except Exception as error:  # whatever a half-installed package raises
         raise BackendError(
             "ROS011",
-            f"the Python package {package} of {type_name} cannot be imported: {error}",
+            f"the Python package {package}, which contains {type_name}, cannot be imported: {error}",
             remedy=f"Install ros-DISTRO-{package.replace('_', '-')}, or build it with colcon, and source its "
             "setup.bash before starting the bridge.",
         ) from error
@@ -463,9 +463,9 @@ class MessageClasses:
 
 
 def _first_difference(ours: list[tuple[str, str]], theirs: list[tuple[str, str]]) -> str:
-    for number, (one, other) in enumerate(zip(ours, theirs, strict=False), 1):
+    for place, (one, other) in enumerate(zip(ours, theirs, strict=False), 1):
         if one != other:
-            return f"field {number} is `{other[1]} {other[0]}` in the package, `{one[1]} {one[0]}` here"
-    more, where = (theirs, "in the package") if len(theirs) > len(ours) else (ours, "here")
+            return f"field {place}: `{other[1]} {other[0]}` in the package, `{one[1]} {one[0]}` in the bridge"
+    more, where = (theirs, "in the package") if len(theirs) > len(ours) else (ours, "in the bridge")
     name, kind = more[min(len(ours), len(theirs))]
     return f"`{kind} {name}` exists only {where}"

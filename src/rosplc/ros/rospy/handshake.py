@@ -137,10 +137,10 @@ def mismatch(
     (name, md5), (own_name, own_md5) = theirs, ours
     does = f"node {node} {verb} {topic} as {name}"
     if name not in (ANY, own_name):
-        return "ROS003", f"{does}, but here it is {own_name}"
+        return "ROS003", f"{does}, but the local type is {own_name}"
     if md5 not in (ANY, own_md5):
         does = does if name != ANY else f"node {node} {verb} {topic}"
-        return "ROS003", f"{does} with another definition (md5 {md5} there, {own_md5} here)"
+        return "ROS003", f"{does} with another definition (md5 {md5}, locally {own_md5})"
     return None
 
 

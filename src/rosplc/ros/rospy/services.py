@@ -127,8 +127,8 @@ class RospyServer(_Service, KeepingServer):
         """Serve a caller that has connected; return why not, or an empty text."""
         node, md5 = header["callerid"][:256], header["md5sum"][:64]
         if md5 not in (ANY, self._md5):
-            self.reject(f"node {node} calls it with md5sum {md5}, but it is {self._md5} here")
-            return f"service {self.topic} is {self.type_name} with md5sum {self._md5} here, not {md5}"
+            self.reject(f"node {node} calls it with md5sum {md5}, but the local md5sum is {self._md5}")
+            return f"service {self.topic} is {self.type_name} with md5sum {self._md5}, not {md5}"
         fields = {"callerid": self._node.node, "service": self.topic, "md5sum": self._md5}
         for name, end in (("type", ""), ("request_type", "Request"), ("response_type", "Response")):
             fields[name] = handshake.ros1_name(self.type_name) + end
@@ -285,7 +285,7 @@ class RospyClient(_Service, BaseClient):
         link = _Link()
         with self._lock:
             if len(self._links) >= MOST_CALLS:
-                why = f"{MOST_CALLS} calls of {self.topic} are already open"
+                why = f"{MOST_CALLS} calls to {self.topic} are already open"
                 return Reply(None, "not executed", Reason.QUEUE_FULL, why)
             self._links[number] = link
         arguments = (number, link, payload)
@@ -315,7 +315,7 @@ class RospyClient(_Service, BaseClient):
                 link.sock = sock
                 if link.stopped:
                     sock.close()
-                    return Reply(text="no caller is waiting for it")
+                    return Reply(text="no caller is waiting for the response")
         except Exception as error:  # whatever it is: nothing was sent
             self._look_again()
             return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")

@@ -374,7 +374,7 @@ class Outgoing(Topic):
         if wrong is not None:
             self.strangers[node] = (self.node.clock.monotonic_ns(), wrong)
             self.node.wake()
-            return f"topic {self.topic} is {ours[0]} with md5sum {ours[1]} here: {wrong[1]}"
+            return f"topic {self.topic} is published as {ours[0]} with md5sum {ours[1]}: {wrong[1]}"
         latching = str(int(self.latching))
         fields = {"topic": self.topic, "callerid": self.node.node, "latching": latching}
         handshake.prepare(sock).sendall(handshake.encode_header({**fields, **self.definition.fields()}))

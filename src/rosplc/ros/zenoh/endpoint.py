@@ -42,7 +42,7 @@ class Endpoint(BaseEndpoint):
     def _problem(self) -> Problem:
         code, reason = super()._problem()
         if not reason and self._peers() and not self._connected():
-            reason = "Zenoh is about to connect"
+            reason = "Zenoh is still connecting"
         return code, reason
 
     def declare(self, session: Any, entity: Entity) -> None:

@@ -110,7 +110,7 @@ def unpack(data: bytes) -> Attachment:
     if size != _GID_SIZE:
         raise ValueError(f"the sender's id has {size} bytes, not {_GID_SIZE}")
     if sequence < 0 or stamp_ns < 0:
-        raise ValueError("the sequence number or the stamp is negative")
+        raise ValueError("the sequence number or the time stamp is negative")
     return Attachment(sequence, stamp_ns, gid)
 
 
