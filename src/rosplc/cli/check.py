@@ -314,9 +314,9 @@ def _total(project: Project) -> Iterator[str]:
     for plan in project.topics:
         sizes[plan.direction] += memory(project, plan)["memory_bytes"]
     total = total_memory(project)
-    parts = [f"{sizes[1]} for topics to the PLC", f"{sizes[2]} for topics to ROS"]
+    parts = [f"ROS → PLC {sizes[1]}", f"PLC → ROS {sizes[2]}"]
     if services := total - sum(sizes.values()):
-        parts.append(f"{services} for services")
+        parts.append(f"services and actions {services}")
     ways = f" ({', '.join(parts)})" if all(sizes.values()) else ""
     yield f"\nShared memory in total: {plural(total, 'byte')}{ways}."
 

@@ -125,7 +125,7 @@ def test_memory_adds_up_and_is_split_by_direction(tmp_path: Path) -> None:
     )
     output = explained(tmp_path, text)
     assert "4 slots × 128 = " in output
-    assert "Shared memory in total: " in output and "for topics to the PLC, " in output
+    assert "Shared memory in total: " in output and "(ROS → PLC " in output
     classic = made(f"ros: {{backend: memory}}\ntopics:\n  /a: {{type: {INT}, to: plc, classic: true}}\n")
     assert classic["topics"]["/a"]["memory"]["object_bytes"] == 4
 
