@@ -4,11 +4,11 @@ rosplc check  —  explain rosplc.yaml, or report its errors with line and key
 
 rosplc check rosplc.yaml --verbose  —  every detail of every topic
 
-rosplc check rosplc.yaml --json  —  the same for programs
+rosplc check rosplc.yaml --json  —  the same information as JSON
 
 rosplc check --fix  —  rewrite keys that have new names since the file was written
 
-rosplc check --schema > rosplc.schema.json  —  for an editor that completes keys
+rosplc check --schema > rosplc.schema.json  —  lets an editor complete keys
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ def command(
     """Explain a configuration: its entries, their directions and settings, and who may open the objects.
 
     Options:
-        verbose: Explain each topic: memory, QoS, what happens when silent.
+        verbose: Explain each topic: memory, QoS, what happens when its source is silent.
         schema: Print the JSON Schema of configuration files.
-        fix: Rename keys that have new names; comments and layout stay.
+        fix: Rename keys that have new names; comments and layout are kept.
     """
     if schema:
         print_json(json_schema())

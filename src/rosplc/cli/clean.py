@@ -7,7 +7,7 @@ rosplc clean --prefix line3 --dry-run  —  show what would be removed
 rosplc clean --topic /old_topic  —  only this topic
 
 Objects of a running bridge and files of other programs are left alone. An attached PLC detects the removal,
-and attaches again once a bridge has created a new object; the last values are gone.
+and attaches again once a bridge has created a new object; the last values are lost.
 """
 
 from __future__ import annotations

@@ -13,18 +13,18 @@ rosplc demo --plc st --duration 20s  —  the PLC runs generated Structured Text
 rosplc demo --plc openplc --duration 20s  —  the PLC is the OpenPLC runtime
 
 A simulated robot publishes over DDS; the bridge carries its topics into shared memory; a
-virtual PLC steers the robot from its pose. They are three separate processes, with their own DDS
-domain and prefix. The exit status is 0 only if every message arrived, whole and once. With --kill,
-messages are missing; the exit status is 0 only if they are consecutive and around the kill, no
-message is torn or duplicated, and both directions work again.
+virtual PLC steers the robot based on its pose. They are three separate processes, with their own DDS
+domain and prefix. The exit status is 0 only if every message arrived whole and exactly once. With --kill,
+some messages are lost; the exit status is 0 only if these are consecutive and were sent around the kill,
+no message is torn or duplicated, and both directions work again.
 
 With --plc st, the PLC runs the code generated from the demo's configuration and the program
 examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It needs gcc and a
-checkout of the sources; the first run translates for a minute or two.
+checkout of the sources; at the first run, the translation takes a minute or two.
 
-With --plc openplc, the PLC is OpenPLC Runtime 4.1. Set ROSPLC_OPENPLC to its built folder and ROSPLC_STRUCPP
-to that of STruC++, which compiles the program. The runtime needs the folder /run/runtime, which only root can
-create, and must be the only one on the machine. It measures its cycle times; the mean is of the last seconds.
+With --plc openplc, the PLC is OpenPLC Runtime 4.1. Set ROSPLC_OPENPLC to the folder in which it was built, and
+ROSPLC_STRUCPP to that of STruC++, which compiles the program. The runtime needs the folder /run/runtime, which
+only root can create. No other OpenPLC may run. The mean cycle time is that of the last seconds.
 """
 
 from __future__ import annotations

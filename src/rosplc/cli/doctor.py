@@ -2,7 +2,7 @@
 
 rosplc doctor  —  examine this machine, and rosplc.yaml if this folder contains one
 
-rosplc doctor rosplc.yaml  —  also check the configuration here: objects, PLC, ROS graph
+rosplc doctor rosplc.yaml  —  also compare the configuration with objects, PLC and ROS graph
 
 rosplc doctor rosplc.yaml --plc generated  —  also check the PLC's code
 
@@ -50,8 +50,8 @@ def command(
     """Examine this machine, a configuration and running bridges; suggest fixes.
 
     Options:
-        plc FOLDER: The output of `rosplc generate`: compare it with the running bridge.
-        plc_user NAME: The PLC runtime's user, if it is not running now.
+        plc FOLDER: Compare the output of `rosplc generate` with the configuration and the running bridge.
+        plc_user NAME: The PLC runtime's user, if the runtime is not running now.
         ros: Examine the ROS graph, if there is a configuration.
         seconds SECONDS: How long to examine the ROS graph.
         everything: Also show each passed check.

@@ -44,9 +44,9 @@ def command(
         plc PLC: codesys; openplc: OpenPLC Runtime 4.1 with STruC++; or matiec: OpenPLC v3 and Beremiz.
             For the last two, --target, --fences, --programs and --pins have no effect.
         target PROCESSOR: Processor of the PLC: x86, or arm; by default this machine's. On arm, messages
-            take a scan longer, because no memory fence is proven there; see --fences.
-        fences: With --target arm: the device enables the MemoryBarrier library; use it if the
-            project has it.
+            take a scan longer, because no memory fence is proven on arm; see --fences.
+        fences: With --target arm: state that the device enables the MemoryBarrier library; blocks use it
+            if the project contains it.
         programs NAME: Prefix of the generated programs' names; by default the
             configuration's `programs`, which is SharedMemory.
         pins: Give blocks a pin per top-level field, for Ladder and Function Block Diagram.

@@ -12,7 +12,7 @@ rosplc init --all --services  —  with the robot's services and actions, as com
 
 rosplc init --bag line3.bag --all  —  from a recording of ROS 1 or ROS 2
 
-It subscribes to the chosen topics while it listens, and publishes nothing. The proposed limits are one and
+While listening, it subscribes to the chosen topics; it publishes nothing. The proposed limits are one and
 a half times the observed sizes; the file shows sizes and rules. Definitions that are not in the
 distribution are taken from `--types`, from an installed ROS (`AMENT_PREFIX_PATH`,
 `ROS_PACKAGE_PATH`), from a node that uses the topic or from the recording, and saved in `msg` beside
@@ -72,13 +72,13 @@ def command(
         topics TOPIC: Carry this topic, or those that match a pattern such as `/robot1/*`, in the
             proposed direction; `TOPIC=TYPE` also sets the type. May be repeated, or list
             several with commas.
-        to_plc TOPIC: As --topics, towards the PLC.
-        to_ros TOPIC: As --topics, from the PLC to ROS.
+        to_plc TOPIC: Like --topics, from ROS to the PLC.
+        to_ros TOPIC: Like --topics, from the PLC to ROS.
         everything: Carry every topic except those of ROS itself, such as /rosout.
         services: Also propose the services and actions of the graph, as comments in the file.
         yes: Do not ask; without a choice of topics, take all of them.
         listen TIME: How long to listen for sizes and rates; `0s`: not at all.
-        look TIME: Maximum time to look for the robot; the search ends early once all is found.
+        look TIME: Maximum time to look for the robot; the search ends early once everything is found.
         bag FILE: Examine a recording (.bag, .mcap, .db3, a folder) instead of a robot.
         output FILE: The configuration to write.
         force: Replace an existing configuration.

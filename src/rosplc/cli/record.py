@@ -2,7 +2,7 @@
 
 rosplc record  —  every channel of the bridge, until Ctrl-C
 
-rosplc record /cmd_vel '/robot1/*' -o shift.mcap --duration 10min  —  some of them, for ten minutes
+rosplc record /cmd_vel '/robot1/*' -o shift.mcap --duration 10min  —  some channels, for ten minutes
 
 rosplc record --bag -o shift --split-size 1GB  —  a folder for `ros2 bag`, a new file every gigabyte
 
@@ -84,12 +84,12 @@ def command(
         split_size SIZE: Begin a new file at this size, such as 1GB.
         split_time TIME: Begin a new file after this time, such as 10min.
         compression NAME: How messages are compressed: zstd, lz4 or none.
-        keep TIME: Keep this much in memory, and write it only when a trigger fires.
-        memory SIZE: With --keep: the most memory to use; the oldest messages are dropped.
+        keep TIME: Keep the messages of this time in memory, and write them only when a trigger fires.
+        memory SIZE: With --keep: maximum memory to use; beyond that, the oldest messages are dropped.
         trigger WHAT: With --keep: stale, error, or a field that becomes true such as
             '/plc/status.fault' or '/tank.level > 0.9'; by default stale and error.
-        after TIME: With --keep: continue for this time after a trigger.
-        files N: With --keep: save at most this many times.
+        after TIME: With --keep: continue recording for this time after a trigger.
+        files N: With --keep: maximum number of saves.
         repair FILE: Do not record: save the intact part of this file as --output.
         quiet: Print no progress.
         as_json: Print the result as JSON.

@@ -1,6 +1,6 @@
 """``rosplc release``: free the writer's claim that a dead PLC has left in a channel.
 
-rosplc release /plc/status  —  after its PLC crashed, to let another program write it
+rosplc release /plc/status  —  after its PLC crashed, let another program write to the topic
 
 rosplc release /plc/status --prefix line3 --yes  —  another bridge's channel, without confirmation
 

@@ -11,7 +11,7 @@ rosplc replay robot.bag --to ros --topic /odom --rename /odom:=/test/odom  —  
 
 rosplc replay shift.mcap --to plc --config cell1.yaml --service /cell/start  —  also requests of a service
 
-It plays ROS 2 MCAP files and folders, and ROS 1 bags, even if they were cut off. With --to plc, it
+It plays ROS 2 MCAP files and folders, and ROS 1 bags, even if they are truncated. With --to plc, it
 replaces the bridge, so no bridge may carry these topics at the same time. Messages are stamped with the
 time at which they are sent; `--stamps original` keeps the recorded stamps.
 """
@@ -92,7 +92,7 @@ def command(
         loop: Repeat until Ctrl-C.
         start TIME: Skip this much at the beginning, such as 30s.
         end TIME: End this long after the beginning of the recording.
-        stamps now|original: The time that messages are stamped with.
+        stamps now|original: Stamp messages with the current time, or with their recorded time.
         wait TIME: How long to wait for a reader of each topic before starting anyway.
         prefix NAME: With --to plc: the channels' prefix, instead of the configuration's.
         config FILE: With --to plc: a configuration with prefix, limits and slots; without --prefix,

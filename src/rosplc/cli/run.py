@@ -4,8 +4,8 @@ rosplc run  —  carry the topics of rosplc.yaml; Ctrl-C or SIGTERM ends it
 
 rosplc run rosplc.yaml --status 2  —  with a status line every two seconds
 
-rosplc run rosplc.yaml --ros-args -r __ns:=/robot1 -r /cmd_vel:=/base/cmd_vel  —  ROS arguments, as every
-ROS program takes them; in ROS 1 `__ns:=/robot1 /cmd_vel:=/base/cmd_vel`
+rosplc run rosplc.yaml --ros-args -r __ns:=/robot1 -r /cmd_vel:=/base/cmd_vel  —  ROS arguments, as for any
+ROS program; in ROS 1 `__ns:=/robot1 /cmd_vel:=/base/cmd_vel`
 
 `rosplc reload` applies a changed file; a file with an error changes nothing. Closing the terminal ends
 the bridge.
@@ -61,7 +61,7 @@ def command(
 
     Options:
         status SECONDS: Time between two status lines; 0 for none.
-        verbose: Log more.
+        verbose: Also log debug messages.
         quiet: Log warnings and errors only.
     """
     arguments = RosArguments.parse(given_to(context))

@@ -6,10 +6,10 @@ rosplc service install cell1  —  write them, and start the bridge at every boo
 
 rosplc service status  —  list the bridges that are services, with their status
 
-rosplc service uninstall cell1  —  stop it, and remove its files; user, configuration and objects stay
+rosplc service uninstall cell1  —  stop it, and remove its files; keep user, configuration and objects
 
-Installing and removing needs root. The service runs as its own user, without capabilities. Only a
-configuration with `realtime:` gets more: the limits that its settings need.
+Installing and removing needs root. The service runs as its own user, without capabilities. If the
+configuration has `realtime:`, the service also gets the limits that these settings need.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def command(
         name: The service's name; by default that of the configuration file.
         config FILE: The configuration; /etc/rosplc/NAME.yaml by default.
         user NAME: The user that runs the bridge; created if missing.
-        root DIR: Work in this folder instead of /, for machine images.
+        root DIR: Install into this folder instead of /, to prepare a machine image.
         dry_run: Show what would be done.
     """
     root = root.absolute()

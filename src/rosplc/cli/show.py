@@ -10,7 +10,7 @@ rosplc show /gripper/close --header  —  for a service or action: the last requ
 
 rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
 
-rosplc show --config cell.yaml  —  also its classic topics, which cannot describe themselves
+rosplc show --config cell.yaml  —  also this file's classic topics, which cannot describe themselves
 
 Channels need no configuration. The command needs no ROS, only read access, and affects no other program.
 """
@@ -62,8 +62,8 @@ def command(
 
     Options:
         topic: The ROS name of the topic, service or action, such as /cmd_vel; by default all channels.
-        prefix NAME: The bridge's `prefix:`; by default the configuration's or `rosplc`, or any for
-            the list.
+        prefix NAME: The bridge's `prefix:`; by default the configuration's, else `rosplc`; without a
+            topic, every prefix.
         follow: Print messages until Ctrl-C.
         count N: Print this many new messages, then end.
         header: Also print the object's counters.

@@ -10,9 +10,9 @@ rosplc web --allow-write  —  allow anyone who has the printed token to write t
 
 rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable from the network, with your own token
 
-It needs no configuration and no ROS, only read access, and affects no other program. Anyone who can open it
-sees every message that the user who started it may read. Nothing is encrypted: do not use --bind on an
-untrusted network. It needs `pip install 'rosplc[views]'`.
+It needs no configuration and no ROS, only read access, and affects no other program. Anyone who can open the
+page sees every message that the user who started the server may read. Nothing is encrypted: do not use --bind
+on an untrusted network. It needs `pip install 'rosplc[views]'`.
 """
 
 from __future__ import annotations

@@ -357,7 +357,7 @@ class RealtimeSettings(_Section):
 
 
 class TaskSettings(_Section):
-    """A task of the PLC; the PLC generator creates it, and the bridge sizes the slots by it."""
+    """A task of the PLC; `rosplc generate` creates it, and the bridge derives the number of slots from it."""
 
     kind: Literal["cyclic", "freewheeling"] = _f("cyclic", "The kind of task.")
     interval_ns: Duration = _f("10ms", "The cycle time.")
