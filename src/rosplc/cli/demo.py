@@ -22,9 +22,9 @@ With --plc st, the PLC runs the code generated from the demo's configuration and
 examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It needs gcc and a
 checkout of the sources; at the first run, the translation takes a minute or two.
 
-With --plc openplc, the PLC is OpenPLC Runtime 4.1. Set ROSPLC_OPENPLC to the folder in which it was built, and
-ROSPLC_STRUCPP to that of STruC++, which compiles the program. The runtime needs the folder /run/runtime, which
-only root can create. No other OpenPLC may run. The mean cycle time is that of the last seconds.
+With --plc openplc, the PLC is OpenPLC Runtime 4.1. Set ROSPLC_OPENPLC to the folder in which it was built,
+and ROSPLC_STRUCPP to that of STruC++, which compiles the program. The runtime needs /run/runtime, a folder
+that only root can create. No other OpenPLC may run. The mean cycle time is that of the last seconds.
 """
 
 from __future__ import annotations
