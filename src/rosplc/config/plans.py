@@ -116,7 +116,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     record = checked_record(config, asked.value, layout, (*key, "value"))
     if entry.to == "plc":
         if asked.period_ns is not None:
-            what = "a PLC block provides its value in every scan, so it has no period"
+            what = "a PLC block provides the value in every scan, so period has no effect"
             raise wrong(what, "Remove it.", (*key, "period"))
         return StalePlan("value", asked.value, record)
     if asked.period_ns is None:

@@ -579,7 +579,7 @@ class ServiceSettings(_CallSettings):
     )
     per_client: StrictInt | None = _f(
         None,
-        "`server: plc`, over `dds`: the same limit per client. Default: a quarter of `depth`. Other "
+        "`server: plc`, over `dds`: the maximum per client. Default: a quarter of `depth`. Other "
         "backends do not distinguish clients.",
         ge=1,
         le=1000,
@@ -648,7 +648,7 @@ class ParametersSettings(_Section):
 
     initial: Literal["file", "plc"] = _f(
         "file",
-        "Which values apply at the first start. `file`: those of this file, `--params-file` and `-p`; "
+        "Which values apply at startup. `file`: first those of this file, `--params-file` and `-p`; "
         "after a restart, the PLC gets the last values again. `plc`: always the PLC's initial values.",
     )
     task: TaskName | None = _f(None, "The PLC task that uses the parameters. Default: the first of `tasks`.")

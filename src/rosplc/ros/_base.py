@@ -155,7 +155,7 @@ def explain(
 
 
 def _short(type_hash: str) -> str:
-    return f"{type_hash[7:15]}…" if type_hash.startswith("RIHS01_") else "none, as on Humble"
+    return f"{type_hash[7:15]}…" if type_hash.startswith("RIHS01_") else "none (Humble)"
 
 
 def queue_of(qos: backend.Qos) -> backend.Qos:

@@ -88,7 +88,7 @@ def _checked(topic: str, node: str, header: Mapping[str, str]) -> WireDefinition
     if md5 != header["md5sum"]:
         raise BackendError(
             "ROS017",
-            f"node {node} reports md5 {header['md5sum'][:64]} for {name}, but its definition has {md5}",
+            f"node {node} reports md5 {header['md5sum'][:64]} for {name}, but its definition has md5 {md5}",
             remedy="The node was built with definitions that differ from those it sends; rebuild it.",
         )
     return WireDefinition(topic, node, name, md5, text, header.get("latching") == "1", store)
