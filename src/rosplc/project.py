@@ -340,7 +340,7 @@ def when_silent(project: Project, plan: TopicPlan) -> str:
             "zero": "every byte of the PLC's msg is zero, with xSubstituted and xStale set",
         }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted and xStale set")
         lives = "" if safe.action == "hold" else ", whether or not the bridge runs"
-        unchanged = "; a record that does not change counts as silent" if plan.classic else ""
+        unchanged = "; a source whose record does not change counts as silent" if plan.classic else ""
         return f"after {after} {value}{lives}{unchanged}"
     diagnostics = project.config.settings.diagnostics
     report = ""

@@ -201,7 +201,7 @@ def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> Non
     for trigger, topic in recorder.idle_triggers().items():
         why = f"{topic} is not recorded, so the trigger cannot fire"
         if topic in options.selection:
-            why = f"there is no channel {topic} yet; the trigger cannot fire until there is"
+            why = f"there is no channel {topic} yet; the trigger cannot fire until it exists"
         warn(f"trigger {trigger!r}: {why}")
     if not topics:
         warn(f"there is no channel with the prefix {options.namespace.prefix} yet; new channels are recorded")

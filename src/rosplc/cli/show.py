@@ -225,7 +225,7 @@ def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: s
         remedy = "A classic topic does not describe itself: specify its configuration with --config FILE."
         return ChannelError(error.code, what, where=error.where, remedy=remedy)
     what = f"no channel {topic} with the prefix {prefix or 'rosplc'}"
-    remedy = f"There is one with the prefix {', '.join(others)}: add --prefix {others[0]}."
+    remedy = f"This channel exists with the prefix {', '.join(others)}: add --prefix {others[0]}."
     return ChannelError(error.code, what, where=error.where, remedy=remedy)
 
 

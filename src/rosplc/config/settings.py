@@ -345,7 +345,7 @@ class RealtimeSettings(_Section):
     lock_memory: bool = _f(False, "Lock all used pages in memory, so that they cannot be swapped out.")
     gc: Literal["auto", "off", "freeze"] = _f(
         "auto",
-        "Python's garbage collector. `freeze`: it ignores objects created before the start. `off`: in "
+        "Python's garbage collector. `freeze`: it ignores objects created during startup. `off`: in "
         "addition, it runs only on a timer: a short collection each second, a full one each minute.",
     )
 
@@ -527,7 +527,7 @@ class TopicSettings(_Section):
     def _classic_memory_holds_one_record(self) -> TopicSettings:
         if self.classic is not None and (self.slots is not None or self.every):
             word = "every: true" if self.every else "slots"
-            raise ValueError(f"{word} cannot be set with classic, which has one record; remove one of them")
+            raise ValueError(f"{word} cannot be set with classic, which has one record; remove one key")
         return self
 
 

@@ -63,7 +63,7 @@ def open_files(limit: int, topics: int) -> Iterator[Finding]:
         allowed = "any number of" if limit == resource.RLIM_INFINITY else str(limit)
         yield fine("DOC104", f"{allowed} open files are allowed")
         return
-    seen = f"{limit} open files are allowed; {topics} topics need {least} to {usual}"
+    seen = f"{limit} open files are allowed; {topics} topics need {least} to {usual} files"
     remedy = f"Raise the limit in the shell, or with LimitNOFILE={usual} in a systemd unit."
     level = Level.ERROR if limit < least else Level.WARNING
     yield found("DOC104", seen, remedy, f"ulimit -n {usual}", level)

@@ -28,7 +28,7 @@ INT = "std_msgs/msg/Int32"
         (
             "to: plc, classic: true, on_stale: {value: {}}",
             "after 1s the PLC's msg is the type's initial message, with xSubstituted and xStale set, "
-            "whether or not the bridge runs; a record that does not change counts as silent",
+            "whether or not the bridge runs; a source whose record does not change counts as silent",
         ),
         ("to: ros", "ROS receives nothing"),
         ("to: ros, stale_after: 2s", "ROS receives nothing; 500ms later /diagnostics shows STALE"),
