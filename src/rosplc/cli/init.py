@@ -206,7 +206,7 @@ def _tell(
     say(f"Written: {output}{count if files else ''}")
     say("\nNext:")
     steps = [
-        (f"rosplc check {output}", "explain the file, and show how much memory it needs"),
+        (f"rosplc check {output}", "explain the file, and show how much memory the bridge needs"),
         (f"rosplc run {output}", "carry the topics"),
         (f"rosplc generate {output}", "write the PLC code, for CODESYS"),
     ]

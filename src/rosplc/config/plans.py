@@ -136,7 +136,7 @@ def _check_silence(entry: TopicSettings, stale_ns: int, wrong: Any) -> None:
         raise wrong(f"stale_after is never{default}, so on_stale has no effect", "Add stale_after: 1s.")
     if entry.to == "ros":
         if entry.classic is not None:
-            what = "in classic mode, a silent PLC looks like one that repeats the same message"
+            what = "in classic mode, a silent PLC looks like a PLC that repeats the same message"
             raise wrong(what, "Remove on_stale, or carry the topic without classic.")
     elif entry.classic is None and entry.on_change:
         what = "on_change drops equal messages, so a source that repeats a message would count as silent"

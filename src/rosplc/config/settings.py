@@ -334,7 +334,7 @@ class RealtimeSettings(_Section):
     """
 
     policy: Literal["fifo"] | None = _f(
-        None, "`fifo`: SCHED_FIFO, ahead of ordinary processes; it requires permission (SYS010)."
+        None, "`fifo`: SCHED_FIFO, which precedes ordinary processes and requires permission (SYS010)."
     )
     priority: StrictInt = _f(
         20, "SCHED_FIFO priority, 1 to 99. CODESYS tasks use 52 to 67; choose a lower value.", ge=1, le=99
@@ -408,8 +408,8 @@ class ClassicSettings(_Section):
     )
     semaphore: SharedName | None = _f(
         None,
-        "Name of the semaphore, without `sem.`. Default: the name of the shared memory. `none`: no lock "
-        "protects the memory, as in the CODESYS sample.",
+        "Name of the semaphore, without the prefix `sem.`. Default: the name of the shared memory. `none`: no "
+        "lock protects the memory, as in the CODESYS sample.",
     )
     wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
         "5ms", "How long a side tries to acquire the lock before giving up until its next cycle, 100us to 1s."
@@ -490,7 +490,7 @@ class TopicSettings(_Section):
     rate_limit_ns: Interval | None = _f(
         None,
         "Highest rate (`10Hz`) or shortest interval (`100ms`) at which messages are passed on. "
-        "In between, the newest message waits; the last one is never dropped.",
+        "In between, the newest message waits; the last message is never dropped.",
     )
     on_change: bool = _f(
         False,
@@ -585,7 +585,7 @@ class ServiceSettings(_CallSettings):
         le=1000,
     )
     rate_limit_ns: Interval | None = _f(
-        None, "`server: plc`: minimum time between two calls passed to the PLC (`10ms`), or a rate."
+        None, "`server: plc`: minimum time between calls to the PLC (`10ms`), or their maximum rate."
     )
     expire_after_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "5s", "`server: plc`: a call that has waited longer than this is not passed to the PLC, 1ms to 1h."
@@ -608,7 +608,7 @@ class ActionSettings(_CallSettings):
         "`buffer`: the new goal waits.",
     )
     queue: StrictInt | None = _f(
-        None, "`on_new_goal: buffer`: queue length, by default 4; further goals are rejected.", ge=1, le=100
+        None, "`on_new_goal: buffer`: how many goals can wait, default 4; others are rejected.", ge=1, le=100
     )
     accept_within_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "5s",
@@ -693,7 +693,7 @@ class Settings(_Section):
     realtime: RealtimeSettings = _f({}, "Real-time scheduling.")
     tasks: dict[TaskName, TaskSettings] = _f(
         {"RosTask": {}},
-        "Tasks of the PLC by name; topics without `task` belong to the first.",
+        "Tasks of the PLC by name; topics without `task` belong to the first task.",
         min_length=1,
         max_length=MOST_TASKS,
     )

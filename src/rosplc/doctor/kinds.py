@@ -57,12 +57,12 @@ _register("DOC106", _A, _W, "logout", "When the last session of an ordinary user
 _register("DOC110", _A, _E, "installed packages", "A package that rosplc needs is missing.", "Reinstall rosplc with its dependencies.")
 _register("DOC111", _A, _N, "backends without a package for this machine", "PyPI has no wheel of the backend's package for this architecture or Python version.", "Use another backend, or build the package from source.")
 _register("DOC112", _A, _E, "backend that `auto` selects", "No installed backend can connect to the ROS graph; the bridge would not start (ROS001).", "Install one of the backends listed in the message.")
-_register("DOC113", _A, _E, "backend of the configuration", "The package of the backend is not installed; the bridge would not start (ROS001).", "Install the package, or set another backend in ros.backend.")
+_register("DOC113", _A, _E, "backend of the configuration", "The package of the configured backend is not installed; the bridge would not start (ROS001).", "Install the package, or set another backend in ros.backend.")
 
 _A = Area.MEMORY
 _register("DOC201", _A, _E, "file system of /dev/shm", "Without /dev/shm there is no shared memory. On a disk, shared memory would be slow and would survive a reboot.", "Mount /dev/shm as tmpfs.")
 _register("DOC202", _A, _E, "mode of /dev/shm", "The folder must be writable by all users and have the sticky bit set (mode 1777).", "Restore the mode.")
-_register("DOC203", _A, _E, "space for the configuration's objects", "The objects do not fit into /dev/shm; the bridge would not start (SHM117).", "Enlarge /dev/shm, or lower the limits or depth of topics.")
+_register("DOC203", _A, _E, "space for the configuration's objects", "The configuration's objects do not fit into /dev/shm; the bridge would not start (SHM117).", "Enlarge /dev/shm, or lower the limits or depth of topics.")
 _register("DOC204", _A, _W, "free space", "Less than a tenth of /dev/shm is free; a bridge may fail to create an object.", "Remove files that are not in use, or enlarge /dev/shm.")
 _register("DOC205", _A, _N, "objects without a bridge", "A stopped bridge leaves its objects in place, so that the PLC keeps the last values. The bridge reuses the objects at its next start.", "No action needed if the bridge will start again; otherwise remove the objects.")
 _register("DOC206", _A, _W, "objects that are not in the configuration", "The objects have the configuration's prefix, but belong to none of its topics: another bridge uses this prefix, or a topic was removed from the configuration.", "Remove the objects if no other configuration uses this prefix.")
@@ -82,7 +82,7 @@ _register("DOC218", _A, _W, "permission to open classic objects with O_CREAT", "
 _A = Area.PLC
 _register("DOC301", _A, _N, "CODESYS runtime", "No process named codesyscontrol is running here, or it runs in a container that is not visible from here.", "Start the runtime, or specify its user with --plc-user.")
 _register("DOC302", _A, _N, "word size of the runtime", "The PLC runtime is 32-bit and the kernel is 64-bit. Channels work; a semaphore of a classic topic cannot be shared with a 64-bit bridge.", "Use the default channel for topics that are now classic.")
-_register("DOC303", _A, _E, "permissions of the PLC user", "The user of the PLC runtime has no permission to read and write the objects, which the PLC blocks require (SHM102).", "Give the objects to a group that this user is in.")
+_register("DOC303", _A, _E, "permissions of the PLC user", "The user of the PLC runtime has no permission to read and write the objects, which the PLC blocks require (SHM102).", "Give the objects to a group of which this user is a member.")
 _register("DOC304", _A, _E, "the same /dev/shm as the PLC", "The runtime uses a different /dev/shm, for example in a separate container: neither side can see the other's objects.", "Let the containers share /dev/shm.")
 _register("DOC305", _A, _N, "the doctor's container", "Unless it was started with shared ones, a container has its own /dev/shm, processes and network.", "Start the container so that it shares these with the PLC runtime, and make /dev/shm large enough.")
 
@@ -109,12 +109,12 @@ _register("DOC511", _A, _W, "peers in ROS", "A topic that the PLC reads has no p
 _register("DOC512", _A, _E, "types of topics", "Another node uses the topic with a different type (ROS003); no messages are exchanged.", "Correct `type:` of the topic, or change the node.")
 _register("DOC513", _A, _E, "definitions of types", "Another node has a different definition of the type (ROS003); no messages are exchanged.", "Install the same message package on both sides, or correct ros.distro or types.paths.")
 _register("DOC514", _A, _E, "quality of service", "The QoS of publisher and subscriber is incompatible (ROS004); no messages are exchanged.", "Set `qos:` of the topic as shown.")
-_register("DOC515", _A, _W, "names of topics", "No node uses the topic, but the graph has one with a similar name.", "Correct the name in the configuration, or use ros.remap.")
+_register("DOC515", _A, _W, "names of topics", "No node uses the topic, but the graph contains a topic with a similar name.", "Correct the name in the configuration, or use ros.remap.")
 _register("DOC516", _A, _W, "nodes in the graph", "No other node was seen.", "Start the robot's nodes; if they are running, check the domain, backend, container and firewall.")
 _register("DOC517", _A, _W, "the bridge in the graph", "A bridge is running with this configuration, but its node is not visible from here: it is in another domain or uses another protocol.", "Start the bridge and the doctor with the same environment.")
 _register("DOC518", _A, _N, "unknown definitions", "The other side does not announce its definition of the type (Humble, ROS 1), so only the type names were compared.", "No action needed: the bridge reports mismatches in /diagnostics.")
 _register("DOC519", _A, _W, "servers in the ROS graph", "The PLC calls a service or action that no node serves. Calls from the PLC wait until they time out.", "Start the node, and check the name, type and domain.")
-_register("DOC520", _A, _W, "number of servers", "A service or action has several servers (ROS022): each server executes every request, and the first response counts.", "Stop all servers but one, or rename the services of the others.")
+_register("DOC520", _A, _W, "number of servers", "A service or action has several servers (ROS022): each server executes every request, and the first response counts.", "Stop all servers but one, or rename the services of the other servers.")
 _register("DOC521", _A, _E, "services over another DDS", "A peer uses a DDS implementation other than Cyclone DDS, with a different protocol for services (ROS021): calls between it and the bridge do not work.", "Set ros.backend: rclpy.")
 
 _A = Area.LIVE

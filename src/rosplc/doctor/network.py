@@ -90,7 +90,7 @@ def middleware(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Fi
         what = "" if zenoh == (rmw == "rmw_zenoh_cpp") else f"{word}, but the backend is {wish.backend}"
         remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or unset RMW_IMPLEMENTATION for nodes."
         command = "export RMW_IMPLEMENTATION=rmw_zenoh_cpp" if zenoh else ""
-        yield judged("DOC404", what, f"{word}, which fits backend {wish.backend}", remedy, command)
+        yield judged("DOC404", what, f"{word}, which matches backend {wish.backend}", remedy, command)
 
 
 def reach(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:

@@ -217,7 +217,7 @@ def enter(number: int, config: str) -> None:
             _domains[number] = _Entry(Domain(number, config), config)
         except DDSException as error:
             if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
-                text = "domain %d was opened by other code in this process; that configuration applies"
+                text = "domain %d was opened by other code in this process, whose configuration applies"
                 _logger.warning(text, number)
                 return
             remedy = "Check CYCLONEDDS_URI and the network interfaces; the library's message is on stderr."

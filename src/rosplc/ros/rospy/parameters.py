@@ -117,7 +117,7 @@ class MasterParameters:
             elif each.read_only and preset is None:
                 self._refused(each.name, "it is read-only")
             elif preset is None and not self._ours:
-                self._refused(each.name, "this is the PLC's value from when the bridge started")
+                self._refused(each.name, "the bridge started with the PLC's value")
             else:
                 wanted[each.name] = value
         return wanted
