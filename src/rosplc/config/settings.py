@@ -408,8 +408,8 @@ class ClassicSettings(_Section):
     )
     semaphore: SharedName | None = _f(
         None,
-        "Name of the semaphore, without the prefix `sem.`. Default: the name of the shared memory. `none`: no "
-        "lock protects the memory, as in the CODESYS sample.",
+        "Name of the semaphore, without the prefix `sem.`. Default: the name of the shared memory. `none`: "
+        "no lock protects the memory, as in the CODESYS sample.",
     )
     wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
         "5ms", "How long a side tries to acquire the lock before giving up until its next cycle, 100us to 1s."
