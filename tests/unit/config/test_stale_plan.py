@@ -69,7 +69,7 @@ def test_values_become_records() -> None:
         (
             "to: ros, classic: true, stale_after: 1s, on_stale: {value: {}, period: 1s}",
             "",
-            "a silent PLC looks like one",
+            "a silent PLC looks like a PLC",
         ),
     ],
 )
