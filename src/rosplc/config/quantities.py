@@ -56,7 +56,7 @@ def parse_size(value: Any) -> int:
 def parse_mode(value: Any) -> int:
     """Return the permission bits of ``"0660"``."""
     if not isinstance(value, str) or not re.fullmatch(r"(0o?)?[0-7]{3}", value):
-        raise ValueError(f'{value!r} should be three octal digits as text, such as "0660"')
+        raise ValueError(f'{value!r} must be a quoted octal mode, such as "0660"')
     mode = int(value[-3:], 8)
     if mode & 0o600 != 0o600:
         raise ValueError(

@@ -304,7 +304,7 @@ class DiagnosticsSettings(_Section):
     debounce_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "500ms",
         "How long a source must be silent beyond `stale_after` before its diagnostic level changes, and "
-        "how long it must send again before the level recovers, 1ms to 1h. One late message has no effect.",
+        "how long it must keep sending before the level recovers, 1ms to 1h. One late message has no effect.",
     )
 
 

@@ -106,9 +106,9 @@ _register("DOC502", _A, _E, "owner and group of the objects", "The configured us
 _A = Area.GRAPH
 _register("DOC510", _A, _E, "connecting to the ROS graph", "The doctor could not connect to the graph; the bridge probably cannot either.", "See the message.")
 _register("DOC511", _A, _W, "peers in ROS", "A topic that the PLC reads has no publisher, or a topic that the PLC writes has no subscriber.", "Start the node, and check the topic name and the domain.")
-_register("DOC512", _A, _E, "types of topics", "Another node uses the topic with a different type (ROS003); no messages are exchanged.", "Correct `type:` of the topic, or change the node.")
+_register("DOC512", _A, _E, "types of topics", "Another node uses the topic with a different type (ROS003); no messages are exchanged.", "Correct the topic's `type:`, or change the node.")
 _register("DOC513", _A, _E, "definitions of types", "Another node has a different definition of the type (ROS003); no messages are exchanged.", "Install the same message package on both sides, or correct ros.distro or types.paths.")
-_register("DOC514", _A, _E, "quality of service", "The QoS of publisher and subscriber is incompatible (ROS004); no messages are exchanged.", "Set `qos:` of the topic as shown.")
+_register("DOC514", _A, _E, "quality of service", "The QoS of publisher and subscriber is incompatible (ROS004); no messages are exchanged.", "Set the topic's `qos:` as shown.")
 _register("DOC515", _A, _W, "names of topics", "No node uses the topic, but the graph contains a topic with a similar name.", "Correct the name in the configuration, or use ros.remap.")
 _register("DOC516", _A, _W, "nodes in the graph", "No other node was seen.", "Start the robot's nodes; if they are running, check the domain, backend, container and firewall.")
 _register("DOC517", _A, _W, "the bridge in the graph", "A bridge is running with this configuration, but its node is not visible from here: it is in another domain or uses another protocol.", "Start the bridge and the doctor with the same environment.")

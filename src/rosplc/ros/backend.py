@@ -62,7 +62,7 @@ class Qos:
         for name in ("deadline_ns", "lease_ns", "lifespan_ns"):
             time = getattr(self, name)
             if not isinstance(time, int) or isinstance(time, bool) or not 0 <= time < 2**63 - 1:
-                raise BackendError("ROS007", f"{name} is {time!r}; it must be an integer (ns), 0 for none")
+                raise BackendError("ROS007", f"{name} is {time!r}; use a positive integer (ns) or 0 for none")
 
     @property
     def promises(self) -> bool:

@@ -366,9 +366,9 @@ def test_older_node_of_a_name_gives_way_and_says_so(ros1: Graph, node: OpenNode)
     new = node("cell")
     newer = new.advertise("/down", STRING, DEEP)
     wait_for(lambda: outbox.status().code == "ROS015")
-    assert outbox.status().reason == "another node named /cell has started, and ROS 1 keeps the newer one"
+    assert outbox.status().reason == "another node named /cell has started, and ROS 1 keeps the newer node"
     for use in (lambda: outbox.write(string("x")), lambda: old.advertise("/more", STRING, DEEP)):
-        with pytest.raises(RosplcError, match="another node named /cell has joined"):
+        with pytest.raises(RosplcError, match="another node named /cell has started"):
             use()
     peer = ros1.peer("rospy", "peer")
     heard = peer.subscribe("/down", STRING)

@@ -233,7 +233,7 @@ def create(make: Callable[..., Any], endpoint: Endpoint, look: Callable[[Endpoin
             return make(event_callbacks=callbacks)
         except UnsupportedEventTypeError:
             continue
-    raise AssertionError("an endpoint without events needs no support")
+    raise AssertionError("rclpy reports an unsupported event, though none was requested")
 
 
 def _callbacks(endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Iterator[Any]:

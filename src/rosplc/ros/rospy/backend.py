@@ -302,7 +302,7 @@ class RospyBackend(BaseNode):
     def told_to_leave(self, caller: str, why: str) -> None:
         """Leave, as ROS 1 asks of a node whose name another one has taken, and of one that is killed."""
         if "same name" in why:
-            self._end(f"another node named {self.node} has started, and ROS 1 keeps the newer one")
+            self._end(f"another node named {self.node} has started, and ROS 1 keeps the newer node")
         else:
             self._end(
                 f"{caller or 'a node'} asked node {self.node} to shut down ({why or 'no reason given'})"
@@ -310,7 +310,7 @@ class RospyBackend(BaseNode):
 
     def moved(self, uri: str) -> None:
         """Leave: another node has this node's name."""
-        self._end(f"the node at {uri} has taken the name {self.node}, and ROS 1 keeps the newer one")
+        self._end(f"the node at {uri} has taken the name {self.node}, and ROS 1 keeps the newer node")
 
     def _end(self, why: str) -> None:
         if not self._closed and not self.ended:

@@ -62,7 +62,7 @@ def definition_on_wire(
                 try:
                     sock, header = greet(request(uri, _CALLER, full), _CALLER, full, ANY_TYPE)
                 except (OSError, UnreachableError, RefusedError, HandshakeError) as error:
-                    trouble = f"node {node} publishes {full}, but does not answer: {error}"
+                    trouble = f"node {node} publishes {full}, but the connection failed: {error}"
                     continue
                 sock.close()
                 return _checked(full, node, header)
