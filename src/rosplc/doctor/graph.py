@@ -104,7 +104,7 @@ def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
         if end.obstacles:
             yield found("DOC521", f"{does} {'; '.join(end.obstacles)} [ROS021]")
         if _ANY not in (end.type_name, type_name) and end.type_name != type_name:
-            yield found("DOC512", f"{does} as {end.type_name}, but {type_name} is configured [ROS003]")
+            yield found("DOC512", f"{does} as {end.type_name}, but the local type is {type_name} [ROS003]")
 
 
 def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator[Finding]:
@@ -137,7 +137,7 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
         return found("DOC518", f"{who} {verb} {end.topic}, whose type is unknown")
     if end.type_name != plan.type_name:
         remedy = f"Write `type: {end.type_name}` for {plan.topic}, or change the node."
-        return found("DOC512", f"{does}, but {plan.type_name} is configured [ROS003]", remedy)
+        return found("DOC512", f"{does}, but the local type is {plan.type_name} [ROS003]", remedy)
     if ours and end.type_hash and ours != end.type_hash:
         there, here = end.type_hash[7:15], ours[7:15]
         what = f"{does} with another definition (type hash {there}…, locally {here}…) [ROS003]"

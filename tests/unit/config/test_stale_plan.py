@@ -54,7 +54,7 @@ def test_values_become_records() -> None:
         ("to: plc, on_stale: {value: {linear: {x: fast}}}", ".value.linear.x", "is not a valid float64"),
         ("to: plc, on_stale: {value: {linear: {speed: 1}}}", ".value.linear", "no field 'speed'"),
         ("to: plc, on_stale: {value: {}, period: 1s}", ".period", "period has no effect"),
-        ("to: plc, on_stale: {valeu: {}, value: {}}", ".valeu", "not a key here; did you mean 'value'"),
+        ("to: plc, on_stale: {valeu: {}, value: {}}", ".valeu", "not a valid key here; did you mean 'value'"),
         ("to: plc, stale_after: never, on_stale: zero", "", "stale_after is never"),
         ("to: plc, on_change: true, on_stale: zero", "", "on_change drops equal messages"),
         ("to: plc, rate_limit: 1s, on_stale: zero", "", "the interval of rate_limit must be shorter"),
@@ -101,4 +101,4 @@ def test_the_flag_topic_is_taken() -> None:
         f"  /a/substituted: {{type: {TWIST}, to: ros}}\n"
     )
     assert (code, where) == ("CFG004", "c.yaml:2: topics./a.on_stale")
-    assert "/a/substituted shows in ROS" in what
+    assert "/a/substituted is reserved" in what

@@ -541,7 +541,7 @@ def test_an_sqlite_recording_without_definitions(encoding: str, tmp_path: Path) 
         and "contains a definition of" in remarks[0]
     )
     Player(source, heap, topics, ReplayOptions(speed=0)).play(never)
-    assert heap.got == [("/n", 7)] and "those of humble are used" in source.notes[0]
+    assert heap.got == [("/n", 7)] and "are taken from humble" in source.notes[0]
 
 
 def test_a_cut_file_is_replayed_and_repaired(tmp_path: Path) -> None:
