@@ -72,8 +72,8 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "",
         f"{processes(runs):,} processes survived until the end of a round. For each component in each kind "
         "of cell, the table shows the process that lived longest, with the medians over the first and the "
-        "last quarter of its lifetime. For memory, these are the quarters of the second half of its "
-        "lifetime, when the memory usage has settled. The bridge's descriptor counts exclude the lock files "
+        "last quarter of its lifetime. For memory, the first half of its lifetime is left out, because "
+        "memory usage has not settled by then. The bridge's descriptor counts exclude the lock files "
         "of objects. An increase counts as a leak if the Mann-Kendall trend test detects it and if it "
         f"exceeds the limit in the table of claims. Leaks: {len(leaks) or 'none'}. The DDS library keeps "
         "8 KiB of memory for each node that has connected, until its buffers are full, and 0.2 KiB for each "

@@ -137,7 +137,7 @@ def _tell(entry: Entry, topic: Topic, seen: Seen | None) -> None:
     entry.about.append(f"{plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
     if seen.unreadable:
         entry.about.append(
-            f"{plural(seen.unreadable, 'message')} did not fit the type: the robot may use a different "
+            f"{plural(seen.unreadable, 'message')} could not be decoded: the robot may use a different "
             "definition of the type."
         )
 
