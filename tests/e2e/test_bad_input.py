@@ -320,7 +320,7 @@ def test_peers_that_do_not_fit(
     problems = {
         "/part": "as my_msgs/msg/Part with another definition",
         "/type": "publishes /type as std_msgs/msg/Float32, but the local type is std_msgs/msg/Int32",
-        "/qos": "the publisher is best_effort, but the subscriber requests reliable",
+        "/qos": "the publisher is best_effort and the subscriber requests reliable",
     }
     for topic, words in problems.items():
         assert topic in bridge.says(f"{words}")

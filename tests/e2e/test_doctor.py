@@ -295,7 +295,8 @@ def test_everything_runs(
             odd = {"DOC512": ["error"], "DOC515": ["warning"], "DOC603": ["warning"]}
             wait_for(lambda: seen.update(doctor(path)) or shown(seen, odd) == odd, str(odd))
             assert (
-                f"node /robot publishes /in as {LONG}, but {INT} is configured" in seen["DOC512"][0]["seen"]
+                f"node /robot publishes /in as {LONG}, but the local type is {INT}"
+                in seen["DOC512"][0]["seen"]
             )
         finally:
             robot.close()
