@@ -52,3 +52,6 @@ def main() -> None:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise SystemExit(130) from None
         raise
+    finally:
+        # An interrupt in an exec, such as that of a dataclass, would have Python end by SIGINT anyway.
+        exec("")

@@ -248,3 +248,15 @@ def test_help_and_completion_need_the_command_alone():
     command = [sys.executable, "-m", "rosplc"]
     done = subprocess.run(command, env=asked, capture_output=True, text=True, timeout=120)
     assert done.stdout.split() == ["reload", "release", "record", "replay"]
+
+
+def test_an_interrupt_while_a_class_is_made_gives_its_status(tmp_path):
+    """Where Ctrl-C meets an exec, as of a dataclass, the command ends with 130 and not by the signal."""
+    (tmp_path / "interrupted.py").write_text(
+        "import rosplc.cli.app\n"
+        "rosplc.cli.app.app = lambda **_: exec('raise KeyboardInterrupt')\n"
+        "rosplc.cli.main()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    ended = subprocess.run([sys.executable, "-m", "interrupted"], env=environment, check=False)
+    assert ended.returncode == 130
