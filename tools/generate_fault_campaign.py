@@ -76,8 +76,8 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "memory usage has not settled by then. The bridge's descriptor counts exclude the lock files "
         "of objects. An increase counts as a leak if the Mann-Kendall trend test detects it and if it "
         f"exceeds the limit in the table of claims. Leaks: {len(leaks) or 'none'}. The DDS library keeps "
-        "8 KiB of memory for each node that has connected, until its buffers are full, and 0.2 KiB for each "
-        "topic that has been opened.",
+        "8 KiB of memory for each node that has connected, until the library's buffers are full, and 0.2 KiB "
+        "for each topic that has been opened.",
         "",
         *trend_table(runs),
         "",
