@@ -292,7 +292,7 @@ def belong_together(found: Mapping[Part, Attached]) -> None:
     for part, one in found.items():
         others = {word: layout_id for word, layout_id in ids.items() if word != part.word}
         if dict(one.description.partners) != others:
-            what = f"its partners should be {dict(one.description.partners)}, but are {others}"
+            what = f"its partners' layout ids should be {dict(one.description.partners)}, but are {others}"
             raise channel_error(112, what, one.path)
 
 

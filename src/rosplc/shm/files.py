@@ -48,7 +48,9 @@ class Rights:
                 os.fchown(fd, -1 if self.uid is None else self.uid, -1 if self.gid is None else self.gid)
             os.fchmod(fd, self.mode)
         except PermissionError as error:
-            what = f"cannot change its owner to user {self.uid}, group {self.gid}"
+            given = (("owner", self.uid), ("group", self.gid))
+            wanted = [f"{word} {number}" for word, number in given if number is not None]
+            what = f"cannot set {', '.join([*wanted, f'mode {self.mode:04o}'])}"
             raise channel_error(102, what, path) from error
 
 
@@ -229,7 +231,7 @@ class NameLock:
                 self.unheld_ns = max(0, time.time_ns() - status.st_mtime_ns)
         except OSError as error:
             self.release()
-            what = f"cannot change the group of the lock file to {rights.gid}: {error.strerror}"
+            what = f"cannot set group and mode of the lock file: {error.strerror}"
             raise channel_error(102, what, path) from error
         except BaseException:
             self.release()

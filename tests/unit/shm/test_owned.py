@@ -443,3 +443,24 @@ def test_image_is_what_the_format_says(shm_namespace: Namespace) -> None:
             image[identity.description_offset :][: identity.description_size] == channel.description.to_json()
         )
         assert not any(image[identity.slots_offset :])
+
+
+@pytest.mark.parametrize(
+    ("rights", "words"),
+    [
+        (Rights(0o660, gid=995), "cannot set group 995, mode 0660"),
+        (Rights(0o600, 1000, 995), "cannot set owner 1000, group 995, mode 0600"),
+    ],
+)
+def test_rights_that_cannot_be_given_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, rights: Rights, words: str
+) -> None:
+    """Owner and group are named where they were to be set, and the mode."""
+
+    def refuse(*_: int) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr("os.fchown", refuse)
+    with (tmp_path / "object").open("wb") as file, pytest.raises(ChannelError, match=words) as caught:
+        rights.give(file.fileno(), tmp_path / "object")
+    assert caught.value.code == "SHM102"
