@@ -178,10 +178,8 @@ class PortToPlc(ChannelPort[Writer]):
         words = channel.region.words(READER_LINES_OFFSET, READER_LINES * _LINE_WORDS)
         tasks = []
         for at in range(0, len(words), _LINE_WORDS):
-            if not words[at]:  # no reader claims the line
-                continue
-            beat, beat_ms, taken = words[at + 1 : at + 4]
-            if self._peers[at].observe(beat, taken, beat_ms, now_ns):
+            claim, beat, beat_ms, taken = words[at : at + 4]
+            if claim and self._peers[at].observe(beat, taken, beat_ms, now_ns):
                 tasks.append(task_name(words[at + 12 : at + 16]))
         self._tasks = tuple(tasks)
         return bool(tasks)

@@ -58,8 +58,8 @@ class Silence:
 
     def reported(self, now_ns: int) -> bool:
         """Return the same as it is reported: debounced."""
-        settled = now_ns >= self._settled_ns
-        return bool(self._limit_ns) and not (settled and now_ns <= self.due_ns + self._debounce_ns)
+        late = now_ns > self.due_ns + self._debounce_ns
+        return bool(self._limit_ns) and (late or now_ns < self._settled_ns)
 
     def age_ns(self, now_ns: int) -> int | None:
         """Return the time since the last message; None before the first."""
@@ -103,7 +103,7 @@ class Hold:
     @property
     def skipped(self) -> int:
         """Messages held back on purpose."""
-        return self._skipped + sum([stage.skipped for stage in self.stages])
+        return self._skipped + sum(stage.skipped for stage in self.stages)
 
     def offer(self, item: Item, now_ns: int) -> bool:
         """Send a message, or hold it back; return whether something waits from now on."""

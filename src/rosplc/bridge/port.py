@@ -71,9 +71,6 @@ class Context:
         return max(1, self.beat_ns // 1_000_000)
 
 
-_FINE: dict[str, Any] = {"problem": "", "reason": "", "code": "", "recent": False}
-
-
 class Notes:
     """What went wrong with a topic or service, for its status and the log."""
 
@@ -99,8 +96,6 @@ class Notes:
 
     def noted(self, now_ns: int, endpoint: EndpointStatus | None) -> dict[str, Any]:
         """Return what a status says about it: the endpoint's trouble where there is none from here."""
-        if not (self._reason or self.problem or (endpoint is not None and endpoint.code)):
-            return _FINE
         reason, code, when = self._reason or ("", "", 0)
         recent = bool(reason) and now_ns - when < QUIET_NS
         if endpoint is not None and endpoint.code and not recent:

@@ -207,7 +207,7 @@ class Stream(Notes, ABC):
         rate, stale, silent = self._rate, silence.stale(now_ns), silence.reported(now_ns)
         skipped, substituting, noted = self.hold.skipped, self.substituting, self.noted(now_ns, endpoint)
         states = rate, stale, silent, substituting, silence.last_ns is None
-        basis = endpoint, port, *states, noted, passed, truncated, skipped, *counters.values()
+        basis = endpoint, port, *states, *noted.values(), passed, truncated, skipped, *counters.values()
         (before, status), self._looked_ns = self._known, now_ns
         if basis == before and status is not None:
             return endpoint, status

@@ -66,18 +66,17 @@ class Peer:
         self.silent = False  # neither did for longer than that. Just after the attach a peer is neither.
         self._beat_ms = -1
         self._liveness = Liveness(0)
-        self._since_ns = self._silence_ns = 0
+        self._since_ns = 0
 
     def observe(self, beat: int, sequence: int, beat_ms: int, now_ns: int) -> bool:
         """Take in the words as they are at ``now_ns``, a monotonic time; return whether the peer is alive."""
         if beat_ms != self._beat_ms:
             # Another writer, or the first one after its claim: its own promise counts.
             self._beat_ms, self._liveness = beat_ms, Liveness(beat_ms)
-            self._silence_ns = silence_ns(beat_ms)
         self.alive = self._liveness.observe(beat, sequence, now_ns)
         if self.alive or self._since_ns == 0:
             self._since_ns = now_ns
-        self.silent = now_ns - self._since_ns > self._silence_ns
+        self.silent = now_ns - self._since_ns > silence_ns(beat_ms)
         return self.alive
 
 

@@ -266,7 +266,6 @@ class Snapshot:
 
 
 @lru_cache(1024)
-@lru_cache
 def task_name(words: tuple[int, ...]) -> str:
     """Return the name in the last words of a reader line."""
     name = b"".join(word.to_bytes(4, "little") for word in words).split(b"\0")[0]

@@ -229,7 +229,7 @@ class LibraryLog:
 
     def dropped(self, topic: str) -> int:
         """Return how many messages on a DDS topic did not fit their type, up to the last drain."""
-        return self._dropped.get(topic, 0)
+        return self._dropped[topic]
 
 
 library_log = LibraryLog()  # the one of the process
