@@ -275,8 +275,9 @@ def run(
         for part in ("both", "user", "system")
     ]
     waiting = f"{over.waiting} towards the PLC, and poll every 1 ms towards ROS; the PLC scans every 1 ms"
-    facts = {f"lost, {name}": sum(one["lost"] for one in kept) for name, kept in found.items()}
+    facts: dict[str, float] = {}
     for name, kept in found.items():
+        facts[f"lost, {name}"] = sum(one["lost"] for one in kept)
         facts[f"memory, {name}, MB (PSS)"] = round(statistics.median(one["memory"] for one in kept), 1)
     title = f"{topics} topics x {rate} Hz each way, CPU"
     return measure.report([measure.table(title, "µs per message", waiting, rows, facts), latency], before)

@@ -52,6 +52,7 @@ Times = tuple[float, float]
 TIMES = (1.5, 2.0)  # seconds: until the figures of a round begin, and how long they are taken
 QUIET = (200, 1000)
 ACTIVE = (50, 500, 1000)
+SPREAD = ((50, 1), (500, 10), (500, 5), (1000, 10))  # topics, and the scans in which each is written once
 MOST = 1 << 20  # as in write_times.c
 
 
@@ -262,15 +263,35 @@ def heads(sizes: Sequence[int], rounds: int, seconds: float, plc: Path) -> dict[
     return measure.table("A tick: wake up, poll all heads", "µs of CPU time", waiting, rows)
 
 
+def written(topics: int, every: int, rounds: int, seconds: float, plc: Path, library: Path) -> list[float]:
+    """Return the CPU of a bridge in percent, round by round; a PLC writes each topic every so many scans."""
+    print(f"{topics} active topics", file=sys.stderr)
+    with carrying("predicting", library, topics, inward=False) as carrier:
+        objects = carrier.objects("out", 0, topics)
+        with scanning(plc, [str(10 * MS), "0", str(JITTER_NS), str(every), *objects]):
+            time.sleep(2 * seconds)
+            return shares(carrier, rounds, seconds)
+
+
+def spread(
+    loads: Sequence[tuple[int, int]], rounds: int, seconds: float, plc: Path, library: Path
+) -> dict[str, Any]:
+    """Return the table of the same messages over fewer and more topics: what a message costs, and a topic."""
+    rows = []
+    for topics, every in loads:
+        found = written(topics, every, rounds, seconds, plc, library)
+        rate = 100 * topics / every
+        more = {"messages/s": rate, "µs/message": 1e4 * statistics.median(found) / rate}
+        rows.append(measure.row(f"{topics} topics, {100 / every:g} Hz", found, **more))
+    waiting = "the bridge sleeps for at most 1 ms; the PLC scans every 10 ms"
+    return measure.table("The same messages over more topics, PLC to ROS", "% of a core", waiting, rows)
+
+
 def active(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library: Path) -> dict[str, Any]:
     """Return the table of topics at 10 Hz; a PLC writes a tenth of them in each scan of 10 ms."""
     rows, before = [], None
     for topics in sizes:
-        with carrying("predicting", library, topics, inward=False) as carrier:
-            print(f"{topics} active topics", file=sys.stderr)
-            with scanning(plc, [str(10 * MS), "0", str(JITTER_NS), "10", *carrier.objects("out", 0, topics)]):
-                time.sleep(2 * seconds)
-                found = shares(carrier, rounds, seconds)
+        found = written(topics, 10, rounds, seconds, plc, library)
         cost = statistics.median(found)
         more = {"µs/message": 1e4 * cost / (10 * topics)}
         if before is not None:
@@ -284,7 +305,11 @@ def active(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library
 
 
 def run(
-    rounds: int, times: Times = TIMES, still: Sequence[int] = QUIET, busy: Sequence[int] = ACTIVE
+    rounds: int,
+    times: Times = TIMES,
+    still: Sequence[int] = QUIET,
+    busy: Sequence[int] = ACTIVE,
+    loads: Sequence[tuple[int, int]] = SPREAD,
 ) -> dict[str, Any]:
     """Measure in ``rounds`` rounds; returns a :func:`measure.report`.
 
@@ -293,6 +318,7 @@ def run(
         times: Seconds of a round: until its figures begin, and how long they are taken.
         still: Numbers of quiet topics.
         busy: Numbers of topics at 10 Hz.
+        loads: Numbers of topics, and the scans in which each is written once.
     """
     before = measure.environment()
     with tempfile.TemporaryDirectory() as folder:
@@ -301,6 +327,7 @@ def run(
         tables.append(quiet(still, rounds, times[1], *programs))
         tables.append(heads(still, rounds, times[1], programs[0]))
         tables.append(active(busy, rounds, times[1], *programs))
+        tables.append(spread(loads, rounds, times[1], *programs))
     return measure.report(tables, before)
 
 

@@ -150,13 +150,14 @@ def test_the_benchmark_towards_ros() -> None:
         pytest.skip("Debian package gcc is missing")
     from benchmarks import bench_to_ros
 
-    report = bench_to_ros.run(1, (0.5, 0.5), (4,), (2, 4))
+    report = bench_to_ros.run(1, (0.5, 0.5), (4,), (2, 4), ((2, 1), (4, 2)))
     assert all(table["rows"][0]["count"] for table in report["tables"])
-    *cases, quiet, heads, active = rows(report).values()
+    *cases, quiet, heads, active, spread = rows(report).values()
     assert all(set(table) == set(bench_to_ros.MODES) for table in cases)
     assert set(quiet) == {"4, no PLC", "4, a PLC scans"}
     assert set(heads) == {"4 heads"}
     assert set(active) == {"2 topics", "4 topics"}
+    assert set(spread) == {"2 topics, 100 Hz", "4 topics, 50 Hz"}
 
 
 @pytest.mark.needs(*PACKAGES)
