@@ -69,7 +69,8 @@ def test_a_source_that_cannot_be_used(domain: int, peer: Peer, base: str) -> Non
 
 def test_fast_dds_cannot_be_asked_over_dds(domain: int, peer: Peer) -> None:
     """The error gives the reason and the remedy."""
-    with pytest.raises(MessageTypeError, match="whose service calls are incompatible") as refused:
+    reason = "a DDS implementation whose service calls are incompatible with Cyclone DDS"
+    with pytest.raises(MessageTypeError, match=reason) as refused:
         learnt(domain, peer, "test_msgs/msg/Constants", "dds")
     assert refused.value.code == "TYP001"
     assert "--types" in refused.value.remedy
