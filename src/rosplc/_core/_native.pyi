@@ -341,10 +341,11 @@ class Group:
         """Let go of a channel. Its index may be given out again. Raises IndexError."""
     def divert(self, index: int, capsule: object, /) -> None:
         """Have take() put a channel's messages into a sink, and return those that it does not take."""
-    def wait(self, tick_ns: int, timeout_ns: int = -1, /) -> int:
+    def wait(self, tick_ns: int, timeout_ns: int = -1, longest_ns: int = 0, /) -> int:
         """Sleep to the next tick of an absolute-time grid until a channel has news; return how many have.
 
-        Returns 0 after wake() or the timeout (-1: none). ``tick_ns`` 0 polls without sleeping.
+        Returns 0 after wake() or the timeout (-1: none). ``tick_ns`` 0 polls without sleeping. A group that
+        predicts sleeps until the writers beat, if they do so steadily, but no longer than ``longest_ns``.
         """
     def wake(self) -> None:
         """Make wait() return at its next tick."""

@@ -3,9 +3,10 @@
  *
  *   rp_look(p, planned, now, tick);  a look begins
  *   rp_news(p, i, head);             for each stream whose head has changed since the look before
- *   due = rp_next(p);                the look is over; the next one is due
+ *   due = rp_next(p, longest);       the look is over; the next one is due
  *
- * A look never comes later than one tick after the one before (or tick / SLACK more, if news is expected then). Streams
+ * A look never comes later than one tick after the one before (or tick / SLACK more, if news is expected then). With
+ * `longest` it may, as long as tasks explain all that changes, and nothing of theirs is late: it waits for them. Streams
  * that publish steadily and together form a task. Its next publication is expected one period after the last, at an aim
  * that moves a little earlier whenever everything was there, and further up when something was late: so about one aim in
  * seventeen is missed, and jitter decides how late it lies. Looks beyond one per tick are bounded by a credit.
@@ -30,7 +31,8 @@ enum {
     RP_JITTER = 10,  /* parts of a tick: what a steady stream may be early or late by */
     RP_CREDIT = 4,   /* ticks for one that looks may come early in all */
     RP_SAVED = 16,   /* ticks that they may come early at once */
-    RP_PAUSE = 1000  /* looks without any prediction, once they came early too often */
+    RP_PAUSE = 1000, /* looks without any prediction, once they came early too often */
+    RP_CALM = 1000   /* ticks in which tasks have explained all that changed, after which looks may wait for them */
 };
 
 typedef struct {
@@ -60,6 +62,7 @@ typedef struct {
     int64_t due, early;                 /* the look that was asked for; how much before its tick */
     int64_t credit;
     uint32_t pause;
+    int64_t strange; /* when something changed that no task explains */
 } rp_predictor;
 
 static inline void rp_leave(rp_predictor *p, rp_stream *s)
@@ -68,6 +71,13 @@ static inline void rp_leave(rp_predictor *p, rp_stream *s)
         p->tasks[s->task - 1].members--;
     s->task = 0;
     s->count = 0;
+}
+
+/* Forgets all periods: other counters are told from now on. */
+static inline void rp_forget(rp_predictor *p)
+{
+    for (uint32_t i = 0; i < p->count; i++)
+        rp_leave(p, &p->streams[i]);
 }
 
 static inline void rp_look(rp_predictor *p, int64_t planned, int64_t now, int64_t tick)
@@ -79,8 +89,7 @@ static inline void rp_look(rp_predictor *p, int64_t planned, int64_t now, int64_
     if (p->credit < 0) {
         p->credit = 0;
         p->pause = RP_PAUSE;
-        for (uint32_t i = 0; i < p->count; i++)
-            rp_leave(p, &p->streams[i]);
+        rp_forget(p);
     } else if (p->pause) {
         p->pause--;
     }
@@ -190,6 +199,7 @@ static inline void rp_news(rp_predictor *p, uint32_t index, uint32_t head)
         return;
     s->head = head;
     if (!t) {
+        p->strange = p->now;
         if (!p->pause)
             rp_learn(p, s, more);
         return;
@@ -203,6 +213,7 @@ static inline void rp_news(rp_predictor *p, uint32_t index, uint32_t head)
         t->arrived++;
         t->last = p->planned;
     } else {
+        p->strange = p->now;
         s->silent += 2; /* twice in a period */
         if (s->silent >= RP_SILENT)
             rp_leave(p, s);
@@ -242,9 +253,10 @@ static inline void rp_judge(rp_predictor *p, rp_task *t)
     rp_move(p, t, 0, -t->step);
 }
 
-static inline int64_t rp_next(rp_predictor *p)
+static inline int64_t rp_next(rp_predictor *p, int64_t longest)
 {
     int64_t grid = p->planned + p->tick, slack = p->tick / RP_SLACK, due = INT64_MAX;
+    int calm = longest > p->tick && p->now - p->strange > RP_CALM * p->tick;
     for (rp_task *t = p->tasks; t < p->tasks + RP_TASKS; t++) {
         if (!t->members)
             continue;
@@ -257,16 +269,20 @@ static inline int64_t rp_next(rp_predictor *p)
             t->late = 0;
         }
     }
-    for (rp_task *t = p->tasks; t < p->tasks + RP_TASKS; t++)
+    for (rp_task *t = p->tasks; t < p->tasks + RP_TASKS; t++) {
         if (t->members && t->aim < due)
             due = t->aim;
+        calm = calm && !(t->members && t->late);
+    }
     for (rp_task *t = p->tasks; t < p->tasks + RP_TASKS; t++) /* those that nearly coincide share a look */
         if (t->members && t->aim > due && t->aim <= due + slack)
             due = t->aim;
     if (p->again && p->again < due - slack)
         due = p->again;
+    p->early = due < grid ? grid - due : 0;
+    if (calm && grid < p->planned + longest)
+        grid = p->planned + longest;
     p->due = due > grid + slack ? grid : due;
-    p->early = p->due < grid ? grid - p->due : 0;
     return p->due;
 }
 

@@ -1,7 +1,7 @@
 /* _native.Group: one tick over all channels of a bridge in one call.
  *
  * wait() looks at the heads of all readers on an absolute-time grid, without the GIL, and with `predict` when news is
- * expected; take() converts everything new to wire bytes, straight out of the slots; beat() beats all lines.
+ * expected, or while all is quiet when the PLC's tasks are expected to scan; take() converts everything new to wire bytes, straight out of the slots; beat() beats all lines.
  *
  * The table of channels is guarded by `mutex`, which wait() holds without the GIL for the length of one
  * look. Nobody waits for the GIL while holding it.
@@ -21,15 +21,16 @@
 #define OTHERS_TURN 64u
 /* Heads that are on their way from memory while one is compared. */
 #define AHEAD 16
+#define LONGEST_TICK 60000000000
 
-/* What a look needs of an entry, in a table of its own: `head` is in another page for each, and these loads must not
+/* What a look needs of an entry, in a table of its own: the line is in another page for each, and these loads must not
  * wait for each other. */
 typedef struct {
-    const uint32_t *head; /* of the entry's reader, whose mapping is pinned; else NO_HEAD */
-    uint32_t quiet;       /* a value of head under which there is nothing to take */
+    const rosplc_writer_line *line; /* of the entry's reader, whose mapping is pinned; else NO_LINE */
+    uint32_t quiet;                 /* a value of head under which there is nothing to take */
 } Watch;
 
-static const uint32_t NO_HEAD;
+static const rosplc_writer_line NO_LINE;
 
 typedef struct {
     ReaderObject *reader; /* NULL: a free entry */
@@ -49,7 +50,7 @@ typedef struct {
     int mutex_ready;
     Entry *entries;
     Watch *watches; /* one for each entry */
-    int predicts;
+    int predicts, scans;    /* scans: it is told beats instead of heads */
     rp_predictor predictor; /* its streams: one for each entry */
     Py_ssize_t count, room;
     uint8_t *wire; /* scratch for one message */
@@ -92,7 +93,7 @@ static void group_drop(GroupObject *self, Py_ssize_t index)
     pthread_mutex_lock(&self->mutex);
     entry = self->entries[index];
     self->entries[index] = (Entry){0};
-    self->watches[index] = (Watch){&NO_HEAD, 0};
+    self->watches[index] = (Watch){&NO_LINE, 0};
     rp_leave(&self->predictor, &self->predictor.streams[index]);
     pthread_mutex_unlock(&self->mutex);
     if (entry.reader)
@@ -152,7 +153,7 @@ static PyObject *group_add(GroupObject *self, Entry entry)
     ch_region_pin(entry.reader->owner);
     pthread_mutex_lock(&self->mutex);
     self->entries[index] = entry;
-    self->watches[index].head = &entry.reader->owner->region.header->writer.head;
+    self->watches[index].line = &entry.reader->owner->region.header->writer;
     self->watches[index].quiet = 0;
     if (index == self->count)
         self->predictor.count = (uint32_t)++self->count;
@@ -240,7 +241,7 @@ static PyObject *group_divert(GroupObject *self, PyObject *args)
 /* Whether a channel whose head has changed has news. */
 static int entry_news(Entry *entry, Watch *watch)
 {
-    uint32_t head = rosplc_load(watch->head);
+    uint32_t head = rosplc_load(&watch->line->head);
     if (entry->broken || entry->reader->owner->closed) {
         watch->quiet = head;
         return 0;
@@ -257,41 +258,48 @@ static int entry_news(Entry *entry, Watch *watch)
     return 1;
 }
 
-/* One look at all heads, which was to be at `planned`; sets when the next one is due. */
-static Py_ssize_t group_look(GroupObject *self, int64_t planned, int64_t tick)
+/* One look at all heads, which was to be at `planned`; sets when the next one is due, `longest` after it at most. */
+static Py_ssize_t group_look(GroupObject *self, int64_t planned, int64_t tick, int64_t longest)
 {
     Py_ssize_t news = 0;
-    int predicts = self->predicts && tick;
+    int predicts = self->predicts && tick, scans = predicts && longest > tick;
     self->next_tick = planned + tick;
     pthread_mutex_lock(&self->mutex);
+    if (scans != self->scans)
+        rp_forget(&self->predictor);
+    self->scans = scans;
     if (predicts)
         rp_look(&self->predictor, planned, now_ns(), tick);
     for (Py_ssize_t i = 0; i < self->count; i++) {
         Watch *watch = &self->watches[i];
         if (i + AHEAD < self->count)
-            __builtin_prefetch(watch[AHEAD].head);
-        if (rosplc_load(watch->head) == watch->quiet || !entry_news(&self->entries[i], watch))
+            __builtin_prefetch(watch[AHEAD].line);
+        if (scans)
+            rp_news(&self->predictor, (uint32_t)i, rosplc_load(&watch->line->writer_beat));
+        if (rosplc_load(&watch->line->head) == watch->quiet || !entry_news(&self->entries[i], watch))
             continue;
         news++;
-        if (predicts)
-            rp_news(&self->predictor, (uint32_t)i, rosplc_load(watch->head));
+        if (predicts && !scans)
+            rp_news(&self->predictor, (uint32_t)i, rosplc_load(&watch->line->head));
     }
     if (predicts)
-        self->next_tick = rp_next(&self->predictor);
+        self->next_tick = rp_next(&self->predictor, scans ? longest : 0);
     pthread_mutex_unlock(&self->mutex);
     return news;
 }
 
 static PyObject *group_wait(GroupObject *self, PyObject *args)
 {
-    long long tick, timeout = -1;
+    long long tick, timeout = -1, longest = 0;
     int64_t now, deadline;
     unsigned int looks = 0;
     Py_ssize_t news = 0;
-    if (!PyArg_ParseTuple(args, "L|L:wait", &tick, &timeout))
+    if (!PyArg_ParseTuple(args, "L|LL:wait", &tick, &timeout, &longest))
         return NULL;
-    if (tick < 0 || tick > 60LL * 1000000000)
+    if (tick < 0 || tick > LONGEST_TICK || longest > LONGEST_TICK)
         return PyErr_Format(PyExc_ValueError, "a tick must be between 0 and 60 000 000 000 ns");
+    if (longest < tick)
+        longest = tick;
     now = now_ns();
     deadline = timeout < 0 || timeout > INT64_MAX - now ? INT64_MAX : now + timeout;
     for (;;) {
@@ -303,7 +311,7 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
                 /* The grid stays where it is while we keep up, and starts again where we fell behind. */
                 int64_t target = self->next_tick;
                 struct timespec until;
-                if (target <= now - tick || target > now + tick + tick / RP_SLACK)
+                if (target <= now - tick || target > now + longest + tick / RP_SLACK)
                     target = now + tick;
                 if (target > deadline)
                     target = deadline;
@@ -316,7 +324,7 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
                 sched_yield();
                 interrupted = ++looks % 4096 == 0; /* no call that a signal could interrupt: look for one */
             }
-            news = group_look(self, now, tick);
+            news = group_look(self, now, tick, longest);
             done = news || __atomic_exchange_n(&self->woken, 0, __ATOMIC_ACQ_REL) || now >= deadline;
         }
         Py_END_ALLOW_THREADS;
@@ -433,7 +441,7 @@ static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages,
     ReaderObject *reader;
     uint32_t limit;
     int error, taken = 1;
-    if (rosplc_load(watch->head) == watch->quiet) /* as most are, and free entries */
+    if (rosplc_load(&watch->line->head) == watch->quiet) /* as most are, and free entries */
         return 0;
     if (entry->broken || entry->reader->owner->closed || !rosplc_reader_news(&entry->reader->reader))
         return 0;
@@ -547,7 +555,8 @@ static PyMethodDef methods[] = {
     {"divert", (PyCFunction)group_divert, METH_VARARGS,
      "divert(index, capsule): take() puts messages into this sink, and returns those that it does not take."},
     {"wait", (PyCFunction)group_wait, METH_VARARGS,
-     "wait(tick_ns, timeout_ns=-1) -> number of channels with news; 0 after wake() or the timeout."},
+     "wait(tick_ns, timeout_ns=-1, longest_ns=0) -> number of channels with news; 0 after wake() or the timeout.\n\n"
+     "With predict=True, a look may wait up to longest_ns for the scans of writers that beat steadily."},
     {"wake", (PyCFunction)group_wake, METH_NOARGS, "Make wait() return at its next tick; from any thread."},
     {"take", (PyCFunction)group_take, METH_NOARGS,
      "take() -> ([(index, wire, sequence, flags, stamp_ns, stamp_clock)], [(index, exception)])."},

@@ -1,7 +1,8 @@
 /* Steps predict.h through histories without real time.
  *
- *   predict_test history SEED JITTER {steady|irregular PERIOD TOPICS}...    times in µs; ten seconds, ticks of 1 ms
- *   predict_test scribble SEED                                              looks, heads and ticks at random
+ *   predict_test history SEED JITTER LONGEST {steady|irregular PERIOD TOPICS}...
+ *                                times in µs; ten seconds, ticks of 1 ms; LONGEST: as rp_next() takes it
+ *   predict_test scribble SEED   looks, heads and ticks at random
  *
  * Prints how many looks there were, and how late news was found in the last seven seconds, in µs.
  */
@@ -41,7 +42,7 @@ static void scan_next(plc_task *one, int64_t jitter)
     one->due = one->phase + one->scan * one->period + (jitter ? drawn(2 * jitter) - jitter : 0);
 }
 
-static int history(int count, char **words, int64_t jitter)
+static int history(int count, char **words, int64_t jitter, int64_t longest)
 {
     rp_predictor p = {.streams = streams};
     long looks = 0, found = 0;
@@ -67,13 +68,13 @@ static int history(int count, char **words, int64_t jitter)
         }
         for (uint32_t s = 0; s < p.count; s++)
             rp_news(&p, s, heads[s]);
-        due = rp_next(&p);
-        if (due <= planned || due > planned + TICK + TICK / RP_SLACK)
+        due = rp_next(&p, longest);
+        if (due <= planned || due > planned + (longest > TICK ? longest : TICK) + TICK / RP_SLACK)
             return fprintf(stderr, "after the look at %lld comes %lld\n", (long long)planned, (long long)due), 1;
     }
     qsort(late, (size_t)found, sizeof *late, compared);
     printf("looks %ld found %ld median %ld p99 %ld\n", looks, found, (long)(late[found / 2] / 1000),
-           (long)(late[found * 99 / 100] / 1000));
+           (long)(late[found * 99 / 100] / 1000)); /* without any: 0 */
     return 0;
 }
 
@@ -90,7 +91,9 @@ static int scribble(void)
                 rp_news(&p, s, streams[s].head + (drawn(16) ? 1 : (uint32_t)mrand48()));
         if (!drawn(100))
             rp_leave(&p, &streams[drawn(STREAMS)]);
-        due = rp_next(&p);
+        due = rp_next(&p, drawn(2) ? drawn(20 * TICK) : 0);
+        if (!drawn(1000))
+            rp_forget(&p);
         for (rp_task *t = p.tasks; t < p.tasks + RP_TASKS; t++)
             if (t->members > STREAMS || (t->members && t->period <= 0))
                 return fprintf(stderr, "a task has %u members, period %lld\n", t->members, (long long)t->period), 1;
@@ -104,5 +107,5 @@ int main(int argc, char **argv)
     if (argc < 3)
         return 2;
     srand48(atol(argv[2]));
-    return argv[1][0] == 's' ? scribble() : history((argc - 4) / 3, argv + 4, atol(argv[3]) * 1000);
+    return argv[1][0] == 's' ? scribble() : history((argc - 5) / 3, argv + 5, atol(argv[3]) * 1000, atol(argv[4]) * 1000);
 }

@@ -308,7 +308,7 @@ def test_channels_come_and_go_while_another_thread_waits(
     thread.join()
 
 
-@pytest.mark.parametrize("arguments", [(-1,), (61 * _SECOND,)])
+@pytest.mark.parametrize("arguments", [(-1,), (61 * _SECOND,), (_TICK, 0, 61 * _SECOND)])
 def test_ticks_that_are_none(arguments: tuple[int, ...]) -> None:
     """A tick is 0 to 60 s."""
     with pytest.raises(ValueError):
@@ -333,6 +333,17 @@ def test_a_quiet_wait_sleeps_once_a_tick(shm_namespace: Namespace, codec: Codec)
         channel.close()
     # A spinning wait never sleeps, one that wakes for other reasons sleeps more often than it ticks.
     assert 1 <= sleeps <= ticks + 5
+
+
+def test_a_wait_that_predicts_sleeps_longer_while_nothing_beats(pairs: list[_Pair], codec: Codec) -> None:
+    """After a thousand ticks without a change it may sleep longer than a tick, and still finds news."""
+    group = _native.Group(predict=True)
+    group.add_reader(pairs[0][0].reader(), codec.plan)
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+    assert group.wait(_TICK // 10, _SECOND, 10 * _TICK) == 0  # 10,000 ticks
+    assert resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before < 2_000
+    pairs[0][1].writer().publish(_record(codec, 1.0))
+    assert group.wait(_TICK // 10, 10 * _SECOND, 10 * _TICK) == 1
 
 
 def test_a_finalizer_may_add_a_channel_while_messages_are_made(

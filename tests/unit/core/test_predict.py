@@ -42,7 +42,7 @@ def _run(program: str, *arguments: object) -> dict[str, int]:
 )
 def test_steady_tasks_are_met(program: str, tasks: tuple[object, ...], seed: int) -> None:
     """Looks meet tasks with jitter shortly after they publish, with few looks beyond one per tick."""
-    found = _run(program, "history", seed, 50, *tasks)
+    found = _run(program, "history", seed, 50, 0, *tasks)
     assert found["median"] <= 100
     assert found["p99"] <= 300
     assert found["looks"] <= 1.13 * _TICKS
@@ -59,9 +59,41 @@ def test_steady_tasks_are_met(program: str, tasks: tuple[object, ...], seed: int
 )
 def test_what_cannot_be_met_costs_ticks(program: str, tasks: tuple[object, ...], seed: int) -> None:
     """Where nothing can be predicted, or only with too many looks, news waits for a tick, as without it."""
-    found = _run(program, "history", seed, 50, *tasks)
+    found = _run(program, "history", seed, 50, 0, *tasks)
     assert found["p99"] <= 1_250
     assert found["looks"] <= 1.05 * _TICKS
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("tasks", "share"),
+    [
+        pytest.param(("steady", 10_000, 5), 0.4, id="one task"),
+        pytest.param(("steady", 10_000, 5, "steady", 14_142, 5), 0.5, id="two tasks"),
+        pytest.param((), 0.3, id="nothing"),
+    ],
+)
+def test_looks_wait_for_steady_tasks(
+    program: str, tasks: tuple[object, ...], share: float, seed: int
+) -> None:
+    """While tasks explain all that changes, looks are for their sake alone, and still meet them."""
+    found = _run(program, "history", seed, 50, 10_000, *tasks)
+    assert found["p99"] <= 300
+    assert found["looks"] <= share * _TICKS
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "tasks",
+    [
+        pytest.param(("irregular", 7_300, 4), id="alone"),
+        pytest.param(("irregular", 7_300, 4, "steady", 10_000, 5), id="beside a steady task"),
+        pytest.param(("steady", 250, 4), id="faster than the tick"),
+    ],
+)
+def test_looks_wait_for_nothing_else(program: str, tasks: tuple[object, ...], seed: int) -> None:
+    """What no task explains is met at the next tick, even where looks may wait longer."""
+    assert _run(program, "history", seed, 50, 10_000, *tasks)["p99"] <= 1_250
 
 
 @pytest.mark.parametrize("seed", range(4))
