@@ -20,7 +20,7 @@ from rosplc.config import parse_config, resolve
 from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.layout import Limits, compute_layout
-from rosplc.shm import Namespace, attach, beat
+from rosplc.shm import Namespace, attach
 from tests.lib.waiting import wait_for
 
 STRING = "std_msgs/msg/String"
@@ -239,7 +239,7 @@ def test_a_port_reports_and_beats_in_every_state(either: Rig) -> None:
     """What threads beside the carrier call works before, while and after it is open."""
 
     def everything() -> None:
-        beat([either.port.user])
+        either.context.beat()
         either.port.tell(3)
         either.ports.wake()
         assert isinstance(either.port.status(SYSTEM.monotonic_ns()), PortStatus)

@@ -61,6 +61,7 @@ class ChannelPort(Port, Generic[_U]):
         except BaseException:
             channel.close()
             raise
+        context.beating[self] = self.user
         self.channel, self.adopted = channel, channel.adopted
         self._peers.clear()
         if channel.replaced_reason:
@@ -70,6 +71,7 @@ class ChannelPort(Port, Generic[_U]):
 
     def close(self) -> None:
         """Leave the object with its last state."""
+        self._context.beating.pop(self, None)
         channel, self.channel, self.user = self.channel, None, None
         if channel is not None:
             channel.close()
@@ -170,6 +172,7 @@ class PortToPlc(ChannelPort[Writer]):
             side.renewed()
             if self.user is writer:
                 self.user = None
+                self._context.beating.pop(self, None)
                 side.fail(now_ns, error)
         else:
             side.delivered(data, cut)
@@ -294,9 +297,9 @@ class Grouped(Ports[_P]):
         """End the sleep."""
         self._group.wake()
 
-    def _wait(self, tick_ns: int, longest_ns: int, due_ns: int | None) -> int:
+    def _wait(self, tick_ns: int, longest_ns: int, due_ns: int | None, scan_ns: int = 0) -> int:
         left = longest_ns if due_ns is None else max(0, min(longest_ns, due_ns - self._now()))
-        return self._group.wait(tick_ns, left)
+        return self._group.wait(tick_ns, left, scan_ns)
 
 
 class ChannelsToRos(Grouped[PortToRos]):
@@ -319,8 +322,9 @@ class ChannelsToRos(Grouped[PortToRos]):
                 self._group.divert(index, port.sink.capsule)
 
     def poll(self, due_ns: int | None) -> None:
-        """Sleep until there is news, looked for at each tick."""
-        if self._wait(self.tick(self._now()), _LONGEST_WAIT_NS, due_ns):
+        """Sleep until there is news, looked for at each tick; after a quiet time, in each scan of the PLC."""
+        now = self._now()
+        if self._wait(self.tick(now), _LONGEST_WAIT_NS, due_ns, (now > self._alert_until_ns) * LAZY_TICK_NS):
             self._alert_until_ns = self._now() + _ALERT_NS
 
     def tick(self, now_ns: int) -> int:

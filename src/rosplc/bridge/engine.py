@@ -31,7 +31,6 @@ from rosplc.config.resolve import Project, load_project, open_doors, resolve, ri
 from rosplc.config.transforms import TF_MESSAGE
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
-from rosplc.shm import beat
 
 _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_FeedbackMessage")}
 _CHECK_NS = 1_000_000_000
@@ -122,7 +121,7 @@ class Bridge:
             clock=self._clock,
         )
         beats = [
-            Duty("beating", settings.beat_ns, self.beat),
+            Duty("beating", settings.beat_ns, context.beat),
             Duty("checking", _CHECK_NS, lambda: self.check(self._clock.monotonic_ns())),
         ]
         check_names(self.project)
@@ -248,19 +247,15 @@ class Bridge:
         before, self._types.store = self._types.store, project.store
         space = project.namespace
         try:
-            streams = Exchange(
-                changes, self._streams, self._carriers, self._connect, space, self._clock, self._show
-            ).run()
+        exchange = Exchange(changes, self._streams, self._carriers, self._connect, space, self._clock)
+            streams = exchange.run()
         except BaseException:
-            self._types.store = before
+            self._types.store, self._streams = before, exchange.running
             raise
         order = [plan.name for plan in project.plans]
         self._streams = tuple(sorted(streams, key=lambda stream: order.index(stream.plan.name)))
         self._types.use(project.plans)
         self.project, self.config, self.settings = project, project.config, project.config.settings
-
-    def _show(self, streams: tuple[Carried, ...]) -> None:
-        self._streams = streams
 
     def run(self, stop: threading.Event) -> None:
         """Start, carry until ``stop`` is set, and stop. Raises RosplcError: As :meth:`start`."""
@@ -319,10 +314,6 @@ class Bridge:
         return ""
 
     # -- the work of heartbeat and reporter, on their threads
-
-    def beat(self) -> None:
-        """Beat on all lines."""
-        beat([stream.port.user for stream in self._streams])
 
     def check(self, now_ns: int) -> None:
         """Look after objects, peers and the configuration's file."""

@@ -18,7 +18,7 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.config.resolve import Plan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import EndpointStatus
-from rosplc.shm import Namespace, Reader, Writer
+from rosplc.shm import Namespace, beat
 from rosplc.shm.files import USUAL, Rights
 
 if TYPE_CHECKING:
@@ -63,12 +63,17 @@ class Context:
     # end
     debounce_ns: int = 500_000_000
     clock: Clock = SYSTEM
+    beating: dict[object, Any] = field(default_factory=dict, compare=False)  # readers, writers; by port
     warnings: RepeatedWarnings = field(default_factory=lambda: RepeatedWarnings(log))
 
     @property
     def beat_ms(self) -> int:
         """The promised beat in milliseconds."""
         return max(1, self.beat_ns // 1_000_000)
+
+    def beat(self) -> None:
+        """Let what is open beat."""
+        beat(list(self.beating.values()))
 
 
 class Notes:
@@ -127,7 +132,6 @@ class Port(Protocol):
     side: Stream
     # What takes messages without Python while it is open: its own towards the PLC, else the publisher's.
     sink: Any = None
-    user: Reader | Writer | None = None  # what beats; from any thread
 
     def open(self) -> None:
         """Create or adopt the object, and claim it; SHM116 if another bridge holds its name."""

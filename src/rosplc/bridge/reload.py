@@ -101,7 +101,7 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
 
 @dataclass
 class Exchange:
-    """Carries other streams, never touching kept ones; ``show`` takes those open at each moment, to beat.
+    """Carries other streams, never touching kept ones; after a failure ``running`` are those carried then.
 
     All takes effect, or nothing does: new streams are opened beside those that run, and only when they are
     open are the others let go of. What fails later is undone: the streams are opened again as before.
@@ -113,7 +113,6 @@ class Exchange:
     connect: Callable[[Carried], None]
     namespace: Namespace
     clock: Clock
-    show: Callable[[tuple[Carried, ...]], None]
     _new: list[Carried] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -140,7 +139,6 @@ class Exchange:
             self._replace(self._leaving, self._new)
         except BaseException:
             self._drop_new()
-            self.show(self.running)
             raise
         self._give_up(stream for stream in self._leaving if stream.plan.name in self._ending)
         begun = tuple(self._new)
@@ -166,7 +164,6 @@ class Exchange:
             stream.port.open()
             self._new.append(stream)
             self.connect(stream)
-            self.show((*self.running, *self._new))
 
     def _replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> None:
         if not self.carriers.replace(leaving, coming):
@@ -209,7 +206,6 @@ class Exchange:
         self.carriers.replace((), again)
         order = [stream.plan.name for stream in self.running]
         self.running = tuple(sorted((*self._kept, *again), key=lambda stream: order.index(stream.plan.name)))
-        self.show(self.running)
 
     def _name(self, plan: Plan) -> str:
         return object_name(self.namespace, plan)

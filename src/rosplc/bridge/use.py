@@ -122,6 +122,7 @@ class Use(Notes, ABC):
             pairs = list(zip(own, self._channels.items(), strict=True))
             self._writers = {part: one.writer(context.beat_ms) for mine, (part, one) in pairs if mine}
             self._readers = {part: one.reader(context.beat_ms) for mine, (part, one) in pairs if not mine}
+            context.beating[self] = (*self._writers.values(), *self._readers.values())
             self._first, self._peer, self._holder = set(self._writers), Peer(), 0
             self._claimed()
             self._known = True
@@ -163,6 +164,7 @@ class Use(Notes, ABC):
         return Reader(channel.region, 0).peek_record()
 
     def close(self) -> None:
+        self.context.beating.pop(self, None)
         """Leave all objects with their last state."""
         channels, self._channels, self._writers, self._readers = self._channels, {}, {}, {}
         for channel in channels.values():
@@ -173,11 +175,6 @@ class Use(Notes, ABC):
         for channel in self._channels.values():
             channel.retire()
         self.close()
-
-    @property
-    def user(self) -> tuple[Writer | Reader, ...]:
-        """What beats; from any thread."""
-        return (*self._writers.values(), *self._readers.values())
 
     def check(self, now_ns: int) -> bool:
         """Look after the objects; return whether they must be opened again."""

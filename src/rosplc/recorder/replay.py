@@ -44,7 +44,7 @@ from rosplc.ros import (
     open_backend,
 )
 from rosplc.ros.backend import OnReply, OnRequest
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach, beat
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
 from rosplc.shm.calls import WORDS
 from rosplc.shm.files import USUAL, Rights
 
@@ -449,7 +449,7 @@ class PlcPart:
         use.begin(self._clock.monotonic_ns())
         self._carrier = Carrier("rosplc-calls", ports, self._clock)
         self._carrier.replace((), (use,))
-        beating = Duty("beating", context.beat_ns, lambda: beat([use.user]))
+        beating = Duty("beating", context.beat_ns, context.beat)
         self._beats = Rounds("rosplc-beats", self._clock, beating)
         self._beats.start()
 

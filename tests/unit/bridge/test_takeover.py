@@ -41,9 +41,9 @@ def pause(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         ports.wake()
         assert paused.wait(60)
         paused.clear()
-    own, beat = [stream.port for stream in bridge._streams], engine.beat
+    own, beat = [stream.port for stream in bridge._streams], port.beat
     others = lambda users: [user for user in users if all(user is not port.user for port in own)]  # noqa: E731
-    monkeypatch.setattr(engine, "beat", lambda users: beat(others(users)))
+    monkeypatch.setattr(port, "beat", lambda users: beat(others(users)))
     return go_on
 
 
