@@ -74,8 +74,8 @@ class Rig:
         self.ports, self.port = self.make(self.side)
 
     def make(self, side: Side) -> tuple[Ports[Any], Port]:
-        context = Context(self.namespace, "cell", bytes(16), "jazzy")
-        ports = Carriers(context, 1_000_000).of(self.plan).ports
+        self.context = Context(self.namespace, "cell", bytes(16), "jazzy")
+        ports = Carriers(self.context, 1_000_000).of(self.plan).ports
         return ports, ports.make(side)
 
     def open(self) -> None:

@@ -94,12 +94,13 @@ class ChannelPort(Port, Generic[_U]):
         if not channel.still_there():
             self.side.note(now_ns, "the object was removed or replaced; creating it again", "SHM120")
             return True
-        alive = self._observe(channel, now_ns)
+        tasks, alive = self._tasks, self._observe(channel, now_ns)
         if alive:
             self._peer_gone_ns = None
         elif self.peer_alive:
             self._peer_gone_ns = now_ns
-        self.peer_alive = alive
+        if alive != self.peer_alive or tasks != self._tasks:
+            self.peer_alive, self.side.still = alive, False
         return not self.owned()
 
     @abstractmethod
@@ -171,8 +172,8 @@ class PortToPlc(ChannelPort[Writer]):
             side.counters.lost += 1
             side.renewed()
             if self.user is writer:
-                self.user = None
                 self._context.beating.pop(self, None)
+                self.user = None
                 side.fail(now_ns, error)
         else:
             side.delivered(data, cut)

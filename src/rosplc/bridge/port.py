@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Hashable
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -81,13 +81,15 @@ class Notes:
 
     def __init__(self, plan: Plan, context: Context) -> None:
         self.context = context
+        self.still = False  # whether nothing changed between the last two looks, nor has since
         self.problem = ""  # why it cannot be carried at present; empty if it is
         self._name = plan.name
+        self._endpoint: Any = None  # in ROS
         self._reason: tuple[str, str, int] | None = None  # words, code, when
 
     def note(self, now_ns: int, words: str, code: str = "") -> None:
         """Remember and log what went wrong."""
-        self._reason = (words, code, now_ns)
+        self._reason, self.still = (words, code, now_ns), False
         suffix = f" [{code}]" if code else ""
         self.context.warnings.warn((self._name, code), now_ns, f"{self._name}: {words}{suffix}")
 
@@ -98,6 +100,10 @@ class Notes:
             words, code = error.what, error.code
         self.problem = f"{words} [{code}]" if code else words
         self.note(now_ns, words, code)
+
+    def concerns(self, endpoints: Collection[Any]) -> bool:
+        """Return whether its endpoint is one of these."""
+        return bool(endpoints) and self._endpoint in endpoints
 
     def noted(self, now_ns: int, endpoint: EndpointStatus | None) -> dict[str, Any]:
         """Return what a status says about it: the endpoint's trouble where there is none from here."""

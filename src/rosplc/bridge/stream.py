@@ -17,7 +17,7 @@ from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import TopicPlan
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.layout import compute_layout
-from rosplc.ros import Backend, EndpointStatus, OnMessage, Publisher, Qos, Subscription
+from rosplc.ros import Backend, EndpointStatus, OnMessage, Publisher, Qos
 from rosplc.shm import Direction
 from rosplc.shm.constants import FLAG_FIRST, STAMP_SYSTEM
 
@@ -40,7 +40,6 @@ class Stream(Notes, ABC):
         self.plan = plan
         self.codec = Codec(plan.layout)
         self.counters = Counters()
-        self._endpoint: Subscription | Publisher | None = None
         self._sink: Any = None  # what passes messages on without this
         self._now = context.clock.monotonic_ns
         now = self._now()
@@ -105,6 +104,7 @@ class Stream(Notes, ABC):
             received = self.counters.received + self._passed()
             self._rate = (received - count) * 1e9 / (now_ns - since)
             self._rate_from = (now_ns, received)
+            self.still = self.still and not self._rate
         try:
             return self.port.check(now_ns)
         except (ChannelError, ValueError, OSError) as error:
@@ -133,7 +133,7 @@ class Stream(Notes, ABC):
         except (RosplcError, OSError, ValueError) as error:
             self.fail(now_ns, error)
             return False
-        self.problem = ""
+        self.problem, self.still = "", False
         log.info("%s: the object is available again", self.plan.topic)
         return True
 
@@ -192,7 +192,7 @@ class Stream(Notes, ABC):
     def status(self, now_ns: int, within_ns: int = 0) -> TopicStatus:
         """Return the stream's present state, or as it was seen within a time; without an age one object."""
         _, status = self._known
-        if status is None or now_ns - self._looked_ns >= within_ns:
+        if status is None or not within_ns or (now_ns - self._looked_ns >= within_ns and not self.still):
             _, status = self._look(now_ns)
         if (age_ns := self.silence.age_ns(now_ns)) is None:
             return status
@@ -208,8 +208,10 @@ class Stream(Notes, ABC):
         skipped, substituting, noted = self.hold.skipped, self.substituting, self.noted(now_ns, endpoint)
         states = rate, stale, silent, substituting, silence.last_ns is None
         basis = endpoint, port, *states, *noted.values(), passed, truncated, skipped, *counters.values()
-        (before, status), self._looked_ns = self._known, now_ns
+        (before, status), self._looked_ns, self.still = self._known, now_ns, False
         if basis == before and status is not None:
+            waits = rate or noted["recent"] or not stale == silent == bool(plan.stale_after_ns)
+            self.still = not waits and self.hold.due_ns is None and plan.port == "channel"
             return endpoint, status
         found = vars(port) | counters | noted | {"lost": self.counters.lost + port.lost}
         for name, more in (("received", passed), ("published", passed), ("truncated", truncated)):

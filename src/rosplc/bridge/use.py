@@ -78,7 +78,6 @@ class Use(Notes, ABC):
         self._known = False  # the objects were open before: no call in them is an earlier bridge's
         self._peer = Peer()
         self._holder = 0  # the claim that the PLC's block was last seen to have
-        self._endpoint: Any = None
 
     def watch(self, group: Group) -> list[int]:
         """Have a group tell of the PLC's messages; return the readers' numbers there."""
@@ -122,8 +121,8 @@ class Use(Notes, ABC):
             pairs = list(zip(own, self._channels.items(), strict=True))
             self._writers = {part: one.writer(context.beat_ms) for mine, (part, one) in pairs if mine}
             self._readers = {part: one.reader(context.beat_ms) for mine, (part, one) in pairs if not mine}
-            context.beating[self] = (*self._writers.values(), *self._readers.values())
             self._first, self._peer, self._holder = set(self._writers), Peer(), 0
+            context.beating[self] = (*self._writers.values(), *self._readers.values())
             self._claimed()
             self._known = True
         except BaseException:
@@ -164,8 +163,8 @@ class Use(Notes, ABC):
         return Reader(channel.region, 0).peek_record()
 
     def close(self) -> None:
-        self.context.beating.pop(self, None)
         """Leave all objects with their last state."""
+        self.context.beating.pop(self, None)
         channels, self._channels, self._writers, self._readers = self._channels, {}, {}, {}
         for channel in channels.values():
             channel.close()

@@ -269,7 +269,8 @@ class Backend(Protocol):
     """One ROS node on one middleware.
 
     A backend whose node can be ended from outside has an attribute ``ended`` as well: why, in words;
-    empty while it lives (:func:`ended_for_good`).
+    empty while it lives (:func:`ended_for_good`). One that knows which endpoints may have changed since the
+    last call returns them from a method ``changed``; without it all may have.
     """
 
     name: str

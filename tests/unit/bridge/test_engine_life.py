@@ -15,7 +15,7 @@ from rosplc.bridge import Bridge, Level
 from rosplc.bridge.carrier import Carriers
 from rosplc.bridge.channel import ChannelPort, ChannelsToRos
 from rosplc.bridge.port import Context
-from rosplc.bridge.stream import ToPlc, ToRos
+from rosplc.bridge.stream import Stream, ToPlc, ToRos
 from rosplc.config import parse_config, read_config, resolve
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import LATCHED, Qos
@@ -232,7 +232,7 @@ def test_a_beat_into_an_object_just_closed_costs_no_other(cell: Cell) -> None:
         assert isinstance(stream.port, ChannelPort)
         assert stream.port.channel is not None
         stream.port.channel.region.close()
-    bridge.beat()
+    stream.context.beat()
 
 
 def test_a_failed_start_leaves_nothing_open(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -512,3 +512,39 @@ def test_ros_1_messages(shm_namespace: Namespace) -> None:
     topic.on_message(wire(STRING, {"data": "no"}), 1)
     assert (topic.counters.published, topic.counters.refused) == (1, 1)
     topic.port.close()
+
+
+def test_a_quiet_topic_is_looked_at_every_fifth_time(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A backend that knows what has changed is not asked for what is still; messages and news end that."""
+    clock, news, asked = SteppedClock(), set[object](), list[object]()
+    look = Stream.ask
+
+    def ask(stream: Stream, now_ns: int) -> None:
+        asked.append(stream)
+        look(stream, now_ns)
+
+    monkeypatch.setattr(Stream, "ask", ask)
+    monkeypatch.setattr(MemoryBackend, "changed", lambda _: frozenset(news), raising=False)
+    bridge = cell.start(BOTH, clock=clock)
+    into, out = bridge._streams
+
+    def steps(count: int) -> list[object]:
+        asked.clear()
+        for _ in range(count):
+            clock.step(1)
+        return asked
+
+    repeat_until(lambda: clock.step(1), lambda: into.still and out.still)
+    assert [steps(5).count(each) for each in (into, out)] == [1, 1]
+    news.add(into._endpoint)
+    assert [steps(5).count(each) for each in (into, out)] == [5, 1]
+    news.clear()
+    peer = cell.publisher("/in", INT)
+    peer.write(wire(INT, {"data": 1}))
+    repeat_until(lambda: clock.step(1), lambda: not into.still)
+    repeat_until(lambda: clock.step(1), lambda: into.still)
+    assert bridge.status(10**12).topic("/in") == bridge.status().topic("/in")
+    plc = cell.plc("/in")
+    assert plc.reader is not None
+    repeat_until(lambda: (plc.reader.beat(), clock.step(0.5)), lambda: into.port.peer_alive)
+    assert not into.still

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge import Bridge, Level, engine
+from rosplc.bridge import Bridge, Level, port
 from rosplc.bridge.hold import OnChange
 from rosplc.bridge.stream import ToRos
 from rosplc.config import parse_config

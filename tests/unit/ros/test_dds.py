@@ -23,8 +23,8 @@ from rosplc.errors import BackendError
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import EndpointStatus, Qos
 from rosplc.ros._base import BaseEndpoint
+from rosplc.ros.dds import _batch
 from rosplc.ros.dds import backend as domain_module
-from rosplc.ros.dds import native
 from rosplc.ros.dds.backend import check_peers, domain_config, domain_id
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
 from rosplc.ros.dds.peers import (
@@ -338,7 +338,8 @@ def test_a_status_that_is_kept_is_what_would_be_found(graph: Graph) -> None:
 def test_a_change_is_told_once_by_the_library(graph: Graph) -> None:
     """A peer that has come or gone is a change once; an endpoint that is no more has always changed."""
     publisher = graph.node("node").advertise("/out", STRING, Qos())
-    changed = native.changes(publisher.ref, "out")
+    pairs = publisher.changing
+    changed = lambda: _batch.changed(pairs)  # noqa: E731
     assert not changed()
     other = graph.node("other").subscribe("/out", STRING, Qos(), lambda *_: None)
     wait_for(changed)
@@ -349,15 +350,45 @@ def test_a_change_is_told_once_by_the_library(graph: Graph) -> None:
     wait_for(changed)
     assert not publisher.matched
     publisher.close()
-    assert changed()
-    assert changed()
+    assert changed() == [0]
+    assert _batch.changed(pairs + pairs) == [0, 1]
+
+
+def test_a_backend_tells_which_endpoints_have_changed(graph: Graph) -> None:
+    """A peer that has come, matching or not, or that has gone, concerns the endpoints of its topic."""
+    node, other = graph.node("node"), graph.node("other")
+    endpoints = [node.advertise(topic, STRING, Qos()) for topic in ("/a", "/b")]
+    told: set[Any] = set()
+
+    def news() -> set[Any]:
+        told.update(node.changed())
+        return told
+
+    def concerns(number: int) -> None:
+        wait_for(lambda: endpoints[number] in news())
+        told.clear()
+
+    wait_for(lambda: news() >= set(endpoints) and not (told.clear() or node.changed()))  # all are new
+    first = other.subscribe("/a", STRING, Qos(), lambda *_: None)
+    wait_for(lambda: endpoints[0] in news())
+    assert told == {endpoints[0]}
+    told.clear()
+    other.subscribe("/b", "std_msgs/msg/Int32", Qos(), lambda *_: None)
+    concerns(1)
+    wait_for(lambda: endpoints[1].status().code == "ROS003")
+    concerns(1)  # what settled in time, and not with an event of DDS's
+    first.close()
+    concerns(0)
+    assert endpoints[0].status().matched == 0
+    endpoints[0].close()
+    wait_for(lambda: not node.changed())
 
 
 def test_without_the_library_anything_may_have_changed() -> None:
     """A process that uses no batches asks for each status."""
-    program = "from rosplc.ros.dds import _batch; print(_batch.changed(1, 1))"
+    program = "from rosplc.ros.dds import _batch; print(_batch.changed(bytes(24)))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == "True\n"
+    assert done.stdout == "[0, 1, 2]\n"
 
 
 def test_big_endian_arrives_as_little_endian(graph: Graph) -> None:

@@ -1,5 +1,7 @@
 from typing import final
 
+from _typeshed import ReadableBuffer
+
 @final
 class Inlet:
     """What has arrived for many readers, into their sinks, in one call; needs :func:`load`.
@@ -42,8 +44,9 @@ class Outlet:
 def load(path: str, /) -> None:
     """Use this library, which is loaded already. Raises OSError where it lacks a function."""
 
-def changed(entity: int, mask: int, /) -> bool:
-    """Return whether one of an endpoint's statuses may have changed since this was last asked.
+def changed(pairs: ReadableBuffer, /) -> list[int]:
+    """Return the places of the endpoints of which a status may have changed since this was last asked.
 
-    True without :func:`load`, and for an endpoint that is no more.
+    ``pairs`` are 32-bit integers: of each endpoint its handle and a mask of its statuses. All are returned
+    without :func:`load`, and always an endpoint that is no more.
     """

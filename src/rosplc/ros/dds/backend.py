@@ -7,6 +7,7 @@ import logging
 import os
 import socket
 import threading
+from array import array
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem, domain_number
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.dds import native
-from rosplc.ros.dds._batch import Inlet
+from rosplc.ros.dds._batch import Inlet, changed
 from rosplc.ros.dds.batches import obstacle
 from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription, Endpoint
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, service_topics
@@ -283,6 +284,8 @@ class DdsBackend(BaseNode):
         self._hashes = store.distro != "humble"
         self._types = IdlTypes(store)
         self._changed = False
+        self._reviewed: set[str] = set()  # the topics of DDS of which peers may have changed
+        self._watched: tuple[tuple[Endpoint, ...], Any] = ((), array("i"))  # what shows their changes
         self._readers: dict[int, Any] = {}  # by their keys in the waitset
         self._keys = itertools.cycle(range(_FIRST, 1 << 16))
         self._service_ids = itertools.count(1)
@@ -487,17 +490,32 @@ class DdsBackend(BaseNode):
 
     def _review(self, changed: set[str]) -> None:
         self._suspects |= dict.fromkeys(changed, self.clock.monotonic_ns())
+        self._reviewed |= changed
         for endpoint in self._readers.values():
             if endpoint.dds_topic in changed:
                 endpoint.review()
 
     # -- what is wrong
 
+    def changed(self) -> frozenset[Endpoint]:
+        """Return the endpoints whose state may have changed since this was last called."""
+        with self._lock:
+            reviewed, self._reviewed = self._reviewed, set()
+            endpoints, pairs = self._watched
+            if endpoints != (present := tuple(self._endpoints)):
+                endpoints, pairs = present, sum((one.changing for one in present), array("i"))
+                self._watched = endpoints, pairs
+            news = {endpoints[place] for place in changed(pairs)}
+            for endpoint in news:
+                endpoint.renew()
+            return frozenset(news.union(one for one in endpoints if reviewed and one.dds_topic in reviewed))
+
     def _tick(self, now: int) -> None:
         with self._lock:
             due = {topic for topic, since in self._suspects.items() if now - since >= _base.SETTLE_NS}
             self._suspects = {topic: since for topic, since in self._suspects.items() if topic not in due}
             endpoints = [endpoint for endpoint in self._endpoints if endpoint.dds_topic in due]
+            self._reviewed |= due
         for endpoint in endpoints:
             self._warn(endpoint)
 

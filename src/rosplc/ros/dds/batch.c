@@ -413,23 +413,43 @@ static int exec_module(PyObject *module)
 /* Without the library, or with an error of its, anything may have changed. */
 static PyObject *batch_changed(PyObject *module, PyObject *args)
 {
-    int entity, code = -1;
-    unsigned mask;
-    uint32_t flags = 0;
+    Py_buffer pairs;
+    Py_ssize_t count, found = 0, *places;
+    PyObject *list;
     (void)module;
-    if (!PyArg_ParseTuple(args, "iI:changed", &entity, &mask))
+    if (!PyArg_ParseTuple(args, "y*:changed", &pairs))
         return NULL;
-    if (dds.take_status) {
-        Py_BEGIN_ALLOW_THREADS;
-        code = dds.take_status(entity, &flags, mask);
-        Py_END_ALLOW_THREADS;
+    count = pairs.len / (Py_ssize_t)sizeof(int32_t[2]);
+    places = PyMem_Calloc((size_t)count + 1, sizeof *places);
+    if (!places) {
+        PyBuffer_Release(&pairs);
+        return PyErr_NoMemory();
     }
-    return PyBool_FromLong(code || flags);
+    Py_BEGIN_ALLOW_THREADS;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        int32_t pair[2];
+        uint32_t flags = 0;
+        memcpy(pair, (const char *)pairs.buf + i * (Py_ssize_t)sizeof pair, sizeof pair);
+        if (!dds.take_status || dds.take_status(pair[0], &flags, (uint32_t)pair[1]) || flags)
+            places[found++] = i;
+    }
+    Py_END_ALLOW_THREADS;
+    PyBuffer_Release(&pairs);
+    list = PyList_New(0);
+    for (Py_ssize_t i = 0; list && i < found; i++) {
+        PyObject *place = PyLong_FromSsize_t(places[i]);
+        if (!place || PyList_Append(list, place))
+            Py_CLEAR(list);
+        Py_XDECREF(place);
+    }
+    PyMem_Free(places);
+    return list;
 }
 
 static PyMethodDef functions[] = {
     {"changed", (PyCFunction)batch_changed, METH_VARARGS,
-     "changed(entity, mask) -> whether one of these statuses may have changed since this was last called."},
+     "changed(pairs) -> the places of those whose statuses may have changed since this was last called.\n\n"
+     "pairs: of 32-bit integers, an entity and a mask of its statuses."},
     {"load", batch_load, METH_VARARGS, "load(path): use this library, which is loaded already. Raises OSError."},
     {NULL, NULL, 0, NULL},
 };

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from array import array
 from typing import Any
 
 from cyclonedds._clayer import ddspy_take, ddspy_write_ts
@@ -12,7 +13,7 @@ from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Prob
 from rosplc.ros.backend import EndpointStatus, Sink
 from rosplc.ros.buffers import default_buffer, largest_message
 from rosplc.ros.dds import native
-from rosplc.ros.dds._batch import Outlet
+from rosplc.ros.dds._batch import Outlet, changed
 from rosplc.ros.dds.batches import obstacle
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.ros.dds.native import library_log
@@ -36,7 +37,8 @@ class Endpoint(BaseEndpoint):
         self.reader_ref = self.ref
         self._entity = entity
         self._unfit_before = library_log.dropped(self._received_topic)
-        self._changes, self._asking = native.changes(self.ref, self.direction), threading.Lock()
+        self.changing = array("i", (self.ref, int(native.CHANGES[self.direction])))
+        self._asking = threading.Lock()
         self._known: tuple[tuple[Any, ...], EndpointStatus] | None = None
 
     def _names(self) -> tuple[str, str]:
@@ -55,13 +57,18 @@ class Endpoint(BaseEndpoint):
             passed = self.sink.messages if self.sink is not None else 0
             counts = self._messages, self._dropped, self._rejected, self._failed, self._unfit()
             basis, known = (peers, self.strangers, passed, *counts), self._known
-            if self._changes() or known is None or known[0] != basis:
+            if changed(self.changing) or known is None or known[0] != basis:
                 self._known, found = None, super().status()
                 # A problem has words that depend on more, and one that settles on time.
                 if not found.code and not (found.reason and peers):
                     self._known = basis, found
                 return found
             return known[1]
+
+    def renew(self) -> None:
+        """Find the state anew the next time: something has changed."""
+        with self._asking:
+            self._known = None
 
     def matched_handles(self) -> frozenset[int]:
         """Instance handles of the matched peers."""

@@ -14,14 +14,13 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
 from cyclonedds.core import DDSException, DDSStatus, Entity, InstanceState, SampleState, ViewState
 from cyclonedds.internal import DDS, dds_c_t
 
 from rosplc.errors import BackendError
-from rosplc.ros.dds._batch import Inlet, changed
+from rosplc.ros.dds._batch import Inlet
 
 ANY_STATE: int = int(SampleState.Any | ViewState.Any | InstanceState.Any)
 RETCODE_TIMEOUT: int = DDSException.DDS_RETCODE_TIMEOUT
@@ -59,7 +58,7 @@ offered_deadline_missed = _status("offered_deadline_missed")
 alive_count = _status("liveliness_changed", "alive_count")
 
 # What the numbers above and the matched peers change with.
-_CHANGES = {
+CHANGES = {
     "in": DDSStatus.SampleLost | DDSStatus.SampleRejected | DDSStatus.RequestedDeadlineMissed
     | DDSStatus.LivelinessChanged | DDSStatus.SubscriptionMatched,
     "out": DDSStatus.OfferedDeadlineMissed | DDSStatus.PublicationMatched,
@@ -119,11 +118,6 @@ def matched_handles(ref: int, direction: str) -> frozenset[int]:
 def matched_count(ref: int, direction: str) -> int:
     """Return how many peers an endpoint has matched."""
     return max(0, int(_MATCHED[direction](ref, None, 0)))
-
-
-def changes(ref: int, direction: str) -> Callable[[], bool]:
-    """Return what tells whether peers or numbers of an endpoint may have changed since it was last asked."""
-    return partial(changed, ref, int(_CHANGES[direction]))
 
 
 class WaitSet:
