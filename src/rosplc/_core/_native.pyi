@@ -89,8 +89,8 @@ class Region:
     def closed(self) -> bool: ...
     def word(self, offset: int, /) -> int:
         """Load one control word. Raises IndexError outside the object or off a multiple of four."""
-    def words(self, offset: int, count: int, /) -> tuple[int, ...]:
-        """Load ``count`` control words, each with one access."""
+    def words(self, offset: int, count: int, step: int = 1, /) -> tuple[int, ...]:
+        """Load ``count`` control words, the first one of each ``step``, each with one access."""
     def store(self, offset: int, value: int, /) -> None:
         """Store one control word. Raises SHM122 if mapped read-only."""
     def read(self, offset: int, size: int, /) -> bytes:

@@ -300,15 +300,19 @@ static PyObject *region_word(RegionObject *self, PyObject *args)
 
 static PyObject *region_words(RegionObject *self, PyObject *args)
 {
-    Py_ssize_t offset, count;
+    Py_ssize_t offset, count, step = 1;
     uint32_t *words;
     PyObject *result;
-    if (!PyArg_ParseTuple(args, "nn:words", &offset, &count) || !(words = region_at(self, offset, count)))
+    if (!PyArg_ParseTuple(args, "nn|n:words", &offset, &count, &step))
+        return NULL;
+    if (step < 1 || count < 0 || (count && step > PY_SSIZE_T_MAX / 4 / count))
+        return PyErr_Format(PyExc_IndexError, "%zd words in steps of %zd are none", count, step);
+    if (!(words = region_at(self, offset, count * step)))
         return NULL;
     if (!(result = PyTuple_New(count)))
         return NULL;
     for (Py_ssize_t i = 0; i < count; i++) {
-        PyObject *value = PyLong_FromUnsignedLong(rosplc_load(words + i));
+        PyObject *value = PyLong_FromUnsignedLong(rosplc_load(words + i * step));
         if (!value) {
             Py_DECREF(result);
             return NULL;
@@ -409,7 +413,7 @@ static PyObject *region_is_closed(RegionObject *self, void *unused)
 
 static PyMethodDef region_methods[] = {
     {"word", (PyCFunction)region_word, METH_VARARGS, "word(offset) -> the control word there."},
-    {"words", (PyCFunction)region_words, METH_VARARGS, "words(offset, count) -> tuple of control words."},
+    {"words", (PyCFunction)region_words, METH_VARARGS, "words(offset, count, step=1) -> tuple of control words."},
     {"store", (PyCFunction)region_store, METH_VARARGS, "store(offset, value): one 32-bit store."},
     {"read", (PyCFunction)region_read, METH_VARARGS, "read(offset, size) -> bytes; constant parts only."},
     {"held", (PyCFunction)region_held, METH_VARARGS,

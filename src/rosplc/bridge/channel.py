@@ -8,14 +8,21 @@ from collections import defaultdict
 from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
-from rosplc.bridge.port import Context, Port, Ports, Waiting, log
+from rosplc.bridge.port import STILL_TURNS, Context, Port, Ports, Waiting, log
 from rosplc.bridge.status import PortStatus
 from rosplc.bridge.stream import Stream
 from rosplc.codec import Fault
 from rosplc.config.resolve import describe
 from rosplc.errors import ChannelError
 from rosplc.shm import Group, OwnedChannel, Peer, Reader, Sink, Writer, distance
-from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
+from rosplc.shm.constants import (
+    LINE_SIZE,
+    READER_LINE,
+    READER_LINES,
+    READER_LINES_OFFSET,
+    WRITER_LINE,
+    reader_line,
+)
 from rosplc.shm.header import task_name
 
 _U = TypeVar("_U", Writer, Reader)
@@ -42,6 +49,7 @@ class ChannelPort(Port, Generic[_U]):
         self._peers: defaultdict[int, Peer] = defaultdict(Peer)
         self.peer_alive = False
         self._peer_gone_ns: int | None = None
+        self._checks = id(self) >> 4  # not all at once
         self._tasks: tuple[str, ...] = ()
         self._known: tuple[tuple[Any, ...], PortStatus] = ((), PortStatus())
 
@@ -91,7 +99,8 @@ class ChannelPort(Port, Generic[_U]):
         channel = self.channel  # another thread may open it again meanwhile
         if channel is None:
             return True
-        if not channel.still_there():
+        self._checks += 1
+        if not (self.side.still and self._checks % STILL_TURNS) and not channel.still_there():
             self.side.note(now_ns, "the object was removed or replaced; creating it again", "SHM120")
             return True
         tasks, alive = self._tasks, self._observe(channel, now_ns)
@@ -179,12 +188,12 @@ class PortToPlc(ChannelPort[Writer]):
             side.delivered(data, cut)
 
     def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
-        words = channel.region.words(READER_LINES_OFFSET, READER_LINES * _LINE_WORDS)
-        tasks = []
-        for at in range(0, len(words), _LINE_WORDS):
-            claim, beat, beat_ms, taken = words[at : at + 4]
-            if claim and self._peers[at].observe(beat, taken, beat_ms, now_ns):
-                tasks.append(task_name(words[at + 12 : at + 16]))
+        region, tasks = channel.region, []
+        for index, claim in enumerate(region.words(READER_LINES_OFFSET, READER_LINES, _LINE_WORDS)):
+            if claim:
+                _, beat, beat_ms, taken = region.words(reader_line(index), 4)
+                if self._peers[index].observe(beat, taken, beat_ms, now_ns):
+                    tasks.append(task_name(region.words(reader_line(index) + READER_LINE["task"], 4)))
         self._tasks = tuple(tasks)
         return bool(tasks)
 

@@ -18,7 +18,7 @@ from typing import Any
 from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
 from rosplc.bridge.leftovers import Leaving, check_names, leaving, retire_leftovers
 from rosplc.bridge.own import OwnTopics
-from rosplc.bridge.port import Context, log
+from rosplc.bridge.port import STILL_TURNS, Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.reload import Changes, Exchange, compare
 from rosplc.bridge.ros_side import LiveTypes, RosSide
@@ -35,7 +35,6 @@ from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_FeedbackMessage")}
 _CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
-_STILL_ASKED = 5
 _JUST_NOW_NS = 100_000_000
 _APPLY = "run `rosplc reload` or restart the bridge to apply it"
 _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
@@ -342,11 +341,10 @@ class Bridge:
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side how each topic stands; this may hang when it does."""
-        # Where nothing happens every fifth time: with 1,000 quiet topics, the others are 1 % of a core.
         news = getattr(self.backend, "changed", lambda: None)()
         self._asked += 1
         for place, stream in enumerate((*self._streams, *self._leaving), self._asked):
-            if news is not None and stream.still and place % _STILL_ASKED and not stream.concerns(news):
+            if news is not None and place % STILL_TURNS and stream.still and not (news and stream.concerns(news)):
                 continue
             try:
                 stream.ask(now_ns)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("rosplc.bridge")
 
 QUIET_NS = 10_000_000_000  # time between two log lines of one kind
+STILL_TURNS = 5  # of so many looks at what costs much, one is at a topic on which nothing happens
 _MOST_KINDS = 1000
 
 

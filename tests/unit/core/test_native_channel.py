@@ -65,12 +65,17 @@ def test_words_outside_the_object(shm_namespace: Namespace, offset: int) -> None
             lambda: channel.region.word(size),
             lambda: channel.region.words(0, size // 4 + 1),
             lambda: channel.region.words(0, -1),
+            lambda: channel.region.words(0, 2, size // 4),
+            lambda: channel.region.words(0, 2, 1 << 62),
+            lambda: channel.region.words(0, 1, 0),
             lambda: channel.region.read(size - 1, 2),
             lambda: channel.region.read(-1, 1),
         ):
             with pytest.raises(IndexError):
                 call()
         assert channel.region.word(size - 4) == 0
+        some = channel.region.words(0, 64)
+        assert channel.region.words(4, 8, 3) == some[1:25:3]
 
 
 def test_closed_region(shm_namespace: Namespace) -> None:
