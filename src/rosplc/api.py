@@ -1,6 +1,6 @@
 """Channels for any Python program on the machine: attach to a topic, read, write.
 
-No ROS and no configuration is needed: an object in shared memory describes itself.
+Neither ROS nor a configuration is needed: each object in shared memory describes itself.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MOVED_SECONDS = 1.0
 
 
 def include_dir() -> Path:
-    """Return the folder of the C headers ``rosplc/*.h``: pass it to a C or C++ compiler with ``-I``."""
+    """Return the folder with the C headers ``rosplc/*.h``; pass it to a C or C++ compiler with ``-I``."""
     return Path(__file__).parent / "include"
 
 
@@ -40,23 +40,23 @@ def attach(
     """Attach to a topic that a bridge on this machine carries.
 
     Args:
-        topic: The topic as ROS writes it, ``"/cmd_vel"``.
+        topic: The topic's ROS name, such as ``"/cmd_vel"``.
         prefix: The bridge's ``prefix:``.
-        write: Also claim the channel, to publish towards ROS; one writer at a time may.
-        latched: Take the message that is there already as new.
-        layout: The layout expected; None takes the object's own description.
-        task: A name shown to others; with one, a reader line is claimed, else this is an
-            observer that nobody sees and that needs no right to write.
-        directory: Where the objects stand.
+        write: Also claim the channel, to publish to ROS; only one writer at a time is allowed.
+        latched: Treat a message that is already in the channel as new.
+        layout: The expected layout; None uses the object's self-description.
+        task: A name that other programs can see; it claims a reader line, which requires write
+            access. Without a name, this reader is an invisible observer.
+        directory: The folder that contains the objects.
         timeout: Seconds to wait for the object to appear.
 
     Returns:
-        The channel; a context manager.
+        The channel, which is a context manager.
 
     Raises:
-        ChannelError: SHM101 if there is no such object; SHM102 without the rights; SHM112 if
-            ``layout`` differs; SHM114 if another writer holds the claim; and the others of
-            spec/shm-format.md, section 9.
+        ChannelError: SHM101 if the object does not exist; SHM102 without permission; SHM112 if
+            ``layout`` differs from the object's; SHM114 if another writer holds the claim; and
+            the other errors of spec/shm-format.md, section 9.
     """
     deadline, names = time.monotonic() + timeout, Namespace(prefix, directory)
     while True:
@@ -69,25 +69,25 @@ def attach(
 
 
 def topics(prefix: str | None = None, *, directory: str = "/dev/shm") -> list[ObjectState]:
-    """Return the channels on this machine, those that cannot be read included (with ``error``).
+    """Return the channels on this machine, including unreadable ones (with ``error`` set).
 
-    It watches for about a third of a second, to say who is alive. With a ``prefix`` it returns those of it
-    only. Raises ChannelError SHM118 or SHM123.
+    The call takes about a third of a second, to detect which programs are alive. With ``prefix``, it returns
+    only the channels of that bridge. Raises ChannelError SHM118 or SHM123.
     """
     return find_objects(directory, prefix=prefix)
 
 
 class Channel:
-    """One topic's channel, read and written with typed records; made by :func:`attach`.
+    """One topic's channel, read and written as typed records; created by :func:`attach`.
 
-    A channel follows its name: when a bridge replaces the object (another layout, a file that
-    was removed) the next call attaches to the new one, and what was not read of the old one
-    is gone. While there is none, reading returns None and writing raises.
+    If a bridge replaces the object (because the layout changed or the file was removed), the
+    next call attaches to the new object, and unread messages of the old object are lost. While
+    no object exists, reading returns None and writing raises an error.
 
-    A channel is for one thread at a time.
+    Only one thread at a time may use a channel.
 
     Attributes:
-        topic: The topic as ROS writes it.
+        topic: The topic's ROS name.
         layout: The record's layout.
     """
 
@@ -137,42 +137,42 @@ class Channel:
 
     @property
     def info(self) -> SlotInfo | None:
-        """Slot header of the message returned last (sequence, stamp, flags, lost), or None."""
+        """The slot header of the last returned message (sequence, stamp, flags, lost), or None."""
         return self._reader.info or self._info
 
     @property
     def lost(self) -> int:
-        """Messages that this channel has missed, skipped ones included."""
+        """The number of messages that this channel missed, including skipped ones."""
         return self._lost_before + (self._reader.lost if self._attached is not None else 0)
 
     @property
     def retries(self) -> int:
-        """Copies thrown away since the object was attached, because the writer came too near."""
+        """Copies discarded since attaching, because the writer might have changed the slot meanwhile."""
         return self._reader.retries
 
     def snapshot(self) -> Snapshot:
-        """Return the counters and beats of writer and readers.
+        """Return the counters and heartbeats of writer and readers.
 
-        Raises ChannelError: SHM101 while there is no object.
+        Raises ChannelError: SHM101 while no object exists.
         """
         return self._need().snapshot()
 
     def read(self) -> RecordView | None:
         """Return the newest message if it has not been returned yet, else None.
 
-        Messages in between are skipped and counted in :attr:`lost`.
+        Older unread messages are skipped and counted in :attr:`lost`.
         """
         return self._take(0)
 
     def current(self) -> RecordView | None:
-        """Return the newest message, new or not; None if there is none."""
+        """Return the newest message, even if already returned; None if there is none."""
         return self._take(2)
 
     def every(self, timeout: float | None = 0.0, *, poll: float = 0.001) -> Iterator[RecordView]:
         """Yield messages in order, each once.
 
-        It ends when no other message comes within ``timeout`` seconds: 0 ends with the last that is there,
-        None waits for ever. ``poll`` is the time between two looks, in seconds.
+        The iteration ends when no message arrives within ``timeout`` seconds: 0 ends it after the last
+        available message, None waits forever. ``poll`` is the polling interval in seconds.
         """
         while True:
             message = self._wait(1, timeout, poll)
@@ -181,20 +181,20 @@ class Channel:
             yield message
 
     def wait(self, timeout: float | None = None, *, poll: float = 0.001) -> RecordView | None:
-        """Wait for a new message and return it; None after ``timeout`` seconds (None: wait for ever).
+        """Wait for a new message and return it; None after ``timeout`` seconds (None: wait forever).
 
-        ``poll`` is the time between two looks, in seconds. Nobody has to wake this program up, which is what
-        keeps a PLC's scan free of system calls.
+        ``poll`` is the polling interval in seconds. Because readers poll, a PLC does not wake them and its
+        scans make no system calls.
         """
         return self._wait(0, timeout, poll)
 
     def write(self, value: Mapping[str, Any] | RecordView | object, *, stamp_ns: int | None = None) -> int:
-        """Publish a message towards ROS, and return its sequence number.
+        """Publish a message to ROS, and return its sequence number.
 
         ``value`` is a mapping, a record view, or any object with the fields as attributes (a ROS message);
-        what it lacks takes its initial value. ``stamp_ns`` is the source's time stamp, ns since 1970 UTC
-        (None: now). Raises LayoutError LAY006, a value does not fit its field; ChannelError SHM122 without
-        ``write=True``, SHM115 if another writer has taken the claim, SHM101 while there is no object.
+        missing fields have their initial values. ``stamp_ns`` is the source's time stamp in ns since 1970 UTC
+        (None: now). Raises LayoutError LAY006 if a value does not fit its field; ChannelError SHM122 without
+        ``write=True``, SHM115 if another writer has taken the claim, SHM101 while no object exists.
         """
         if not self._write:
             raise ChannelError("SHM122", "the channel was attached for reading only", where=self.topic)
@@ -213,7 +213,7 @@ class Channel:
             self._need()
 
     def close(self) -> None:
-        """Give claims back and let go of the object; a second call does nothing."""
+        """Release claims and detach from the object; a second call does nothing."""
         self._closed = True
         self._drop()
 
@@ -277,7 +277,7 @@ class Channel:
 
     def _need(self) -> Attached:
         if not self._follow():
-            raise ChannelError("SHM101", "there is no object at present", where=self.topic)
+            raise ChannelError("SHM101", "the topic has no object at the moment", where=self.topic)
         assert self._attached is not None
         return self._attached
 

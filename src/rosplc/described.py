@@ -55,12 +55,12 @@ def described_layout(description: Description, *, where: str = "") -> Layout:
         limits = json.dumps(dict(description.limits), sort_keys=True)
         layout = _layout(description.type, description.definition, limits, description.distro)
     except RosplcError as error:
-        what = f"its type cannot be rebuilt: {error.what} [{error.code}]"
+        what = f"the description's type cannot be rebuilt: {error.what} [{error.code}]"
         raise ChannelError("SHM113", what, where=where) from error
     except (TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise ChannelError("SHM113", f"its limits cannot be used: {error}", where=where) from error
+        raise ChannelError("SHM113", f"the limits cannot be used: {error}", where=where) from error
     if layout.layout_id != description.layout_id:
-        what = f"its definition has layout {layout.layout_id}, but it states {description.layout_id}"
+        what = f"the definition has layout id {layout.layout_id}, the description {description.layout_id}"
         raise ChannelError("SHM113", what, where=where)
     return layout
 
@@ -73,8 +73,8 @@ def layout_of(attached: Attached) -> Layout:
     identity = attached.identity
     layout = described_layout(attached.description, where=str(attached.path))
     if (layout.layout_id, layout.size) != (identity.layout_id, identity.record_size):
-        what = f"it describes layout {layout.layout_id} of {layout.size} bytes; the header states "
-        what += f"{identity.layout_id} of {identity.record_size}"
+        what = f"the description has layout {layout.layout_id} ({layout.size} bytes), but the header has "
+        what += f"{identity.layout_id} ({identity.record_size} bytes)"
         raise ChannelError("SHM113", what, where=str(attached.path))
     return layout
 

@@ -1,9 +1,9 @@
-"""One tree of errors for the whole package: a code, what happened, where, and a remedy.
+"""The errors of the whole package: each has a code, a description, a place and a remedy.
 
-Every error that a user can meet is a :class:`RosplcError`. Its ``code`` names a page of
-``docs/reference/errors.md`` (one entry per code, generated from :data:`CODES`), so a code
-never changes its meaning. Numbers below 1000 with the prefix ``SHM`` are also the error
-numbers that a PLC's function block shows; ``spec/shm-format.md`` section 9 lists those.
+Every error that a user can encounter is a :class:`RosplcError`. Its ``code`` never changes its
+meaning: ``docs/reference/errors.md``, generated from :data:`CODES`, has one entry per code.
+The numbers of the codes that begin with ``SHM`` are also the error numbers that a PLC's
+function block shows; ``spec/shm-format.md`` section 9 lists them.
 
 This module is at the bottom of the dependency order and imports nothing of rosplc.
 """
@@ -23,7 +23,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class CodeInfo:
-    """What an error code means, for the reference and for errors raised without a remedy.
+    """The meaning of an error code, for the reference page and for errors raised without a remedy.
 
     Attributes:
         code: The stable code, such as ``"SHM112"``.
@@ -39,7 +39,7 @@ class CodeInfo:
 CODES: dict[str, CodeInfo] = {}
 
 LONGEST_TEXT = 2000
-"""Characters that each text of an error may have; of longer ones the middle is left out."""
+"""The maximum length of each text of an error; longer texts are shortened in the middle."""
 
 
 def _register(code: str, title: str, remedy: str) -> None:
@@ -58,7 +58,7 @@ class RosplcError(Exception):
         remedy: What the reader can do; the code's usual remedy if empty.
 
     Attributes:
-        code: See above; so are ``what``, ``where`` and ``remedy``.
+        code: As above, like ``what``, ``where`` and ``remedy``.
     """
 
     family: ClassVar[str] = ""
@@ -86,26 +86,26 @@ class RosplcError(Exception):
 
 
 def _bounded(text: str) -> str:
-    """Leave out the middle of a text that is longer than anybody reads: it is somebody else's."""
+    """Return an overlong text, which comes from another program, without its middle part."""
     if len(text) <= LONGEST_TEXT:
         return text
     return f"{text[: LONGEST_TEXT - 300]} … {text[-200:]}"
 
 
 class MessageTypeError(RosplcError):
-    """A ROS message type is unknown, malformed or outside what rosplc carries."""
+    """A ROS message type is unknown, malformed or not supported by rosplc."""
 
     family = "TYP"
 
 
 class LayoutError(RosplcError):
-    """A layout cannot be computed, or two layouts that must agree do not."""
+    """A layout cannot be computed, or two layouts that must agree differ."""
 
     family = "LAY"
 
 
 class CodecError(RosplcError):
-    """Wire bytes or a record were refused; the text names field, size and limit."""
+    """Wire bytes or a record were rejected; the text shows the field, size and limit."""
 
     family = "COD"
 
@@ -129,7 +129,7 @@ class BackendError(RosplcError):
 
 
 class GenerationError(RosplcError):
-    """PLC code cannot be generated, or not without destroying something."""
+    """PLC code cannot be generated, or would overwrite an edited file."""
 
     family = "PLC"
 
@@ -141,13 +141,13 @@ class RecordingError(RosplcError):
 
 
 class SetupError(RosplcError):
-    """The machine lacks something: a package, a right, room in ``/dev/shm``."""
+    """The machine lacks a package, permission, ``/dev/shm`` space or other resource."""
 
     family = "SYS"
 
 
 class WebError(RosplcError):
-    """The page cannot be served, or a browser's request was refused."""
+    """The web page cannot be served, or a browser's request was refused."""
 
     family = "WEB"
 
@@ -189,7 +189,7 @@ _register("SHM106", "object requires features that this side lacks", "Use the sa
 _register("SHM107", "identity is damaged", "Another program wrote into the object. Restart the bridge; it replaces the object.")
 _register("SHM108", "geometry is not consistent", "Another program wrote into the object. Restart the bridge; it replaces the object.")
 _register("SHM109", "object is smaller than its header states", "Another program truncated the object. Restart the bridge; it replaces the object.")
-_register("SHM110", "wrong kind or direction", "The topic is configured in the other direction; correct `to:` or use the other function block.")
+_register("SHM110", "wrong kind or direction", "The topic is configured in the opposite direction: correct `to:`, or use the matching function block.")
 _register("SHM111", "object is retired", "Open the name again: the bridge creates a new object.")
 _register("SHM112", "layout differs", "Generate the PLC code again from the same configuration, or restart the side that uses the old layout.")
 _register("SHM113", "self-description cannot be read", "Another program wrote into the object. Restart the bridge; it replaces the object.")
@@ -198,7 +198,7 @@ _register("SHM115", "writer's claim was taken over", "Another writer claimed the
 _register("SHM116", "another bridge uses this name", "Stop the other bridge, or set a different `prefix:` in the configuration of this bridge.")
 _register("SHM117", "not enough room in shared memory", "Free space in /dev/shm, enlarge it (mount -o remount,size=...), or lower the limits or depth of topics.")
 _register("SHM118", "name is not valid", "Use letters, digits, _ and / in a topic; letters, digits, _ and - in a prefix.")
-_register("SHM119", "object belongs to another user", "Remove the object or run the program as the object's owner, or choose another prefix.")
+_register("SHM119", "object belongs to another user", "Remove the object, run the program as the object's owner, or choose another prefix.")
 _register("SHM120", "name refers to another object", "No action needed: the file was removed or replaced while the bridge was running, and the bridge creates the object again.")
 _register("SHM121", "not a plain file", "Remove the link or device that has this name; rosplc never follows links in this folder.")
 _register("SHM122", "this side maps the object read-only", "To publish, attach with write access.")
@@ -209,11 +209,11 @@ _register("SHM126", "handshake took too long", "Find out why the other side did 
 _register("SHM127", "lock was not free in time", "A program holds the semaphore, or died while holding it; the bridge frees it after the time in `classic: recover_after`.")
 _register("SHM128", "semaphore cannot be opened", "Give both sides write permission for /dev/shm/sem.NAME (the same user or group). If the semaphore is not in use, remove it.")
 _register("SHM129", "classic memory is smaller than the record", "The other side has a different struct: correct the topic's type, limits or name. If the shared memory is not in use, remove it.")
-_register("SHM130", "classic memory has an unexpected size", "Compare the structs on both sides: the size is neither that of the record nor a multiple of the page size, so they probably differ.")
+_register("SHM130", "classic memory has an unexpected size", "Compare the structs on both sides. They probably differ: the size is neither the record's nor a multiple of the page size.")
 _register("SHM131", "lock of a dead process was freed", "Find out why the process that held the lock died or hung; if it was only slow, raise `classic: recover_after`.")
 _register("SHM132", "semaphore admitted more than one process", "Find the program that created the semaphore with a value above 1 or posted it twice; the bridge has corrected the value.")
 _register("SHM133", "semaphore belongs to programs of another word size", "A 32-bit and a 64-bit program cannot share a semaphore: run both sides with the same word size, or use the default channel for the topic.")
-_register("SHM140", "call was not executed", "It is safe to call again; the reason that the call returned shows what to correct.")
+_register("SHM140", "call was not executed", "It is safe to call again; the returned reason shows what to correct.")
 _register("SHM141", "fate of the call is unknown", "The call may have been executed, or may still be executed: check this before you call again.")
 _register("SHM142", "call was executed, but its answer cannot be shown", "Raise the limits of the service or action, and generate the PLC code again.")
 _register("SHM143", "goal was aborted", "The server aborted the goal; see its result for the reason.")
@@ -243,7 +243,7 @@ _register("ROS005", "topic name is not valid in ROS", "Follow the naming rules: 
 _register("ROS006", "recording cannot be read", "Check the file with `rosbags-convert` or `ros2 bag info`.")
 _register("ROS007", "QoS settings are not valid", "Correct the reported setting.")
 _register("ROS008", "payload is not a message of the topic's type", "Send serialized bytes of the advertised type, with their 4-byte header.")
-_register("ROS009", "backend or endpoint is closed", "Open a new one; a closed backend or endpoint cannot be reused.")
+_register("ROS009", "backend or endpoint is closed", "Open a new backend or endpoint; a closed one cannot be reused.")
 _register("ROS010", "ROS environment variable is not valid", "Correct the reported environment variable.")
 _register("ROS011", "message package is not installed in ROS", "Install the package for the ROS distribution, or build it, and source its setup.bash.")
 _register("ROS012", "installed message type differs from the bridge's", "Set ros.distro to the installed distribution, or add the installed package's .msg folder to types.paths.")
@@ -257,27 +257,27 @@ _register("ROS019", "backend does not support this quality of service", "Remove 
 _register("ROS020", "ROS graph is empty", "Start the robot's nodes, and check the domain (ROS_DOMAIN_ID), network (also ROS_LOCALHOST_ONLY) and ROS version; for ROS 1, use --distro noetic.")
 _register("ROS021", "peer's services use another protocol", "Set ros.backend: rclpy. DDS has no common service protocol; the dds backend supports only that of rmw_cyclonedds.")
 _register("ROS022", "service has several servers", "Stop all but one of the reported nodes, or rename the services of the other nodes: each server executes every request, and the first response counts.")
-_register("ROS023", "transform is not available", "See the message for the frame. `ros2 run tf2_tools view_frames` (ROS 1: `rosrun tf view_frames`) shows all frames. The clocks of the robot's computers may also differ.")
+_register("ROS023", "transform is not available", "See the message for the frame. `ros2 run tf2_tools view_frames` (ROS 1: `rosrun tf view_frames`) shows all frames. Also compare the clocks of the robot's computers.")
 
 _register("PLC001", "generated file was edited", "Move your changes elsewhere and remove the file, or run the command again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
 _register("PLC003", "too many tasks", "The PLC blocks support at most 16 tasks; put topics of similar urgency into one task.")
 _register("PLC004", "Structured Text cannot be translated", "Correct the reported line; the translator supports only the constructs that generated code uses.")
-_register("PLC005", "tasks differ only in case", "CODESYS does not distinguish such names; rename one in `tasks`.")
+_register("PLC005", "task names differ only in case", "CODESYS does not distinguish such names; rename one task.")
 _register("PLC006", "topic name is too long for the PLC", "Choose a shorter name: blocks accept up to 255 characters, blocks for matiec up to 126.")
-_register("PLC007", "name is not valid for a classic topic", "Name the shared memory and the semaphore with 1 to 80 printable characters, without slashes or spaces.")
+_register("PLC007", "name is not valid for a classic topic", "In names of shared memory and semaphores, use 1 to 80 printable characters without slashes or spaces.")
 _register("PLC008", "name is not valid in PLC code", "Use letters, digits, _ and / in a topic; letters, digits and _ in a task; letters, digits, _ and - in a prefix.")
 
 _register("SYS001", "a program or package is missing", "Install the Debian package shown in the message.")
 _register("SYS002", "child process failed", "See the output of this process above.")
 _register("SYS003", "no DDS domain is free", "Stop other ROS programs on this machine; the demo needs its own domain.")
-_register("SYS004", "processes did not find each other", "The message shows which process waits for which; a firewall on loopback is a common cause.")
+_register("SYS004", "processes did not find each other", "The message shows which process is waiting for which; a firewall on loopback is a common cause.")
 _register("SYS005", "output cannot be written", "Free space on the disk to which stdout is written, or redirect stdout.")
 _register("SYS006", "too many files are open", "A bridge keeps files open for each topic: raise the limit (ulimit -n, LimitNOFILE= in a systemd unit).")
 _register("SYS007", "benchmark report cannot be read", "Specify a report.json written by `rosplc-bench --out DIR` of this release.")
 _register("SYS008", "shared memory cannot be used", "Check that /dev/shm is mounted, writable by this user and not full.")
 _register("SYS009", "comparison program does not compile", "See the compiler's message; if a header is missing, install its -dev package.")
-_register("SYS010", "real-time setting is not permitted", "Run the bridge as a service (rosplc service install), or raise the rtprio and memlock limits. Without `realtime:` in the configuration, neither is needed.")
+_register("SYS010", "real-time setting is not permitted", "Run the bridge as a service (rosplc service install), or raise the rtprio and memlock limits. Neither is needed if the configuration has no `realtime:`.")
 _register("SYS011", "service cannot be installed", "Run the command as root (sudo), preview it with --dry-run, or use --root to write to another folder.")
 _register("SYS012", "terminal is not supported", "Use a common terminal type, such as TERM=xterm-256color; with ssh, add -t. In scripts, use `rosplc status`, which prints the same table once.")
 _register("SYS013", "no permission to signal the process", "Run the command as the owner of the process, or with sudo.")

@@ -1,4 +1,4 @@
-"""A configuration without a running bridge: its consequences, what looks unintended in it, its PLC code."""
+"""A configuration without a running bridge: its consequences, its probable mistakes and its PLC code."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _MUCH_MEMORY = 32 * 1024 * 1024
 
 
 def check(config: Path | str | Project) -> dict[str, Any]:
-    """Return what a configuration, or its file, leads to: what `rosplc check --json` prints.
+    """Return the consequences of a configuration, or of its file, as `rosplc check --json` prints them.
 
-    Raises ConfigErrors with everything that is wrong, each with file, line and key.
+    Raises ConfigErrors with all errors, each with its file, line and key.
     """
     project = config if isinstance(config, Project) else load_project(config)
     settings = project.config.settings
@@ -69,7 +69,7 @@ def check(config: Path | str | Project) -> dict[str, Any]:
 
 
 def chosen_backend(project: Project) -> Choice | RosplcError:
-    """Return the backend that the configuration leads to on this machine, or why there is none."""
+    """Return the backend that the configuration selects on this machine, or the error if there is none."""
     try:
         return choose_backend(project.config)
     except RosplcError as error:
@@ -77,7 +77,7 @@ def chosen_backend(project: Project) -> Choice | RosplcError:
 
 
 def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
-    """Return instance and block of each topic and call in the generated code, or why there is none."""
+    """Return the instance and block of each topic and call in the PLC code, or why it cannot be generated."""
     try:
         made = build.plc_project(project, ProjectOptions())
     except GenerationError as error:
@@ -110,17 +110,17 @@ def generate(
     pins: bool = False,
     force: bool = False,
 ) -> Delivery:
-    """Write the PLC's half of a configuration: Structured Text, PLCopenXML, import script, C header.
+    """Write the PLC code of a configuration: Structured Text, PLCopenXML, import script, C header.
 
     Args:
-        config: The file, or what :func:`load_project` made of it.
-        folder: The output folder; created where it is missing.
-        plc: ``"openplc"``: for OpenPLC Runtime 4.1; ``"matiec"``: for OpenPLC v3 and Beremiz. The next
-            four mean nothing for them.
-        target: The PLC's processor; None: this machine's.
+        config: The file, or the result of :func:`load_project`.
+        folder: The output folder; created if missing.
+        plc: ``"openplc"``: for OpenPLC Runtime 4.1; ``"matiec"``: for OpenPLC v3 and Beremiz. Both ignore
+            the next four arguments.
+        target: The PLC's processor; None: that of this machine.
         fences: On ``"arm"``: the device enables the MemoryBarrier library.
-        programs: What the names of the generated programs begin with; None: the configuration's ``programs``.
-        pins: Give blocks a pin per top-level field, for Ladder and Function Block Diagram.
+        programs: The prefix of the generated programs' names; None: the configuration's ``programs``.
+        pins: Give blocks one pin per top-level field, for Ladder and Function Block Diagram.
         force: Overwrite files that were edited.
 
     Raises:
@@ -149,7 +149,7 @@ def generate_types(
     pins: bool = False,
     force: bool = False,
 ) -> Delivery:
-    """Write both blocks of every message type of a distribution; arguments and errors as :func:`generate`."""
+    """Write both blocks for each message type of a distribution; arguments and errors as :func:`generate`."""
     if plc != "codesys":
         return _write(*openplc_types(distro, plc), folder, force)
     store = TypeStore.bundled(distro)
@@ -172,12 +172,12 @@ def _write(files: dict[str, bytes], notes: tuple[str, ...], folder: Path | str, 
 
 
 def expected_files(project: Project, options: ProjectOptions) -> Mapping[str, bytes]:
-    """Return what would be generated for a project: path below the folder → content."""
+    """Return the files that would be generated for a project: path below the folder → content."""
     return project_files(build.plc_project(project, options), [], "rosplc")
 
 
 def access(project: Project) -> dict[str, Any]:
-    """Return who may open the objects: mode, owner and group, as far as this machine knows them."""
+    """Return who may open the objects: mode, owner and group, by name if this machine knows the name."""
     shm = project.config.settings.shm
     return {
         "mode": f"{shm.mode:04o}",
@@ -187,9 +187,9 @@ def access(project: Project) -> dict[str, Any]:
 
 
 def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
-    """Return the shared memory that a topic takes, and of what it consists, in bytes.
+    """Return the shared memory that a topic needs, and its parts, in bytes.
 
-    ``memory_bytes`` is what is taken from the machine, in whole pages; the other parts add up to
+    ``memory_bytes`` is the memory used on the machine, in whole pages; the other parts add up to
     ``object_bytes``.
     """
     if plan.classic is not None:
@@ -211,12 +211,12 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
 
 
 def call_memory(project: Project, plan: CallPlan) -> int:
-    """Return the shared memory that one use of a service or action takes, in bytes and whole pages."""
+    """Return the shared memory that one use of a service or action needs: whole pages, in bytes."""
     return sum(_pages(made.object_size) for made in object_plans(project, plan).values())
 
 
 def total_memory(project: Project) -> int:
-    """Return the shared memory that a configuration takes, in bytes."""
+    """Return the shared memory that a configuration needs, in bytes."""
     topics = sum(memory(project, plan)["memory_bytes"] for plan in project.topics)
     return topics + sum(call_memory(project, plan) for plan in project.calls)
 
@@ -321,7 +321,7 @@ def _action_facts(plan: ActionPlan) -> dict[str, Any]:
 
 
 def capacities(layout: Layout) -> dict[str, int]:
-    """Return the effective capacity of every string (bytes) and sequence (elements) by its path."""
+    """Return the effective capacity of every string (bytes) and sequence (elements), by path."""
     return {
         path: node.capacity
         for path, _, node in layout.fields()
@@ -330,7 +330,7 @@ def capacities(layout: Layout) -> dict[str, int]:
 
 
 def when_silent(project: Project, plan: TopicPlan) -> str:
-    """Say in plain words what happens while the topic's source says nothing."""
+    """Describe in plain words what happens while the topic's source is silent."""
     safe, after = plan.on_stale, format_duration(plan.stale_after_ns)
     if plan.direction == 1:
         if not plan.stale_after_ns:
@@ -349,26 +349,26 @@ def when_silent(project: Project, plan: TopicPlan) -> str:
     if safe.action == "substitute":
         return (
             f"after {after} ROS receives {_shown(safe.value)} every {format_duration(safe.period_ns)}, "
-            f"and {flag_topic(plan.topic)} shows this{report}"
+            f"and {flag_topic(plan.topic)} is true{report}"
         )
     return f"ROS receives nothing{report}"
 
 
 def _shown(value: Mapping[str, Any]) -> str:
-    """Return a message's fields as a configuration writes them, shortened."""
+    """Return a message's fields as in a configuration, shortened."""
     text = json.dumps(value, ensure_ascii=False)
     return "the type's initial message" if not value else text if len(text) <= 60 else text[:57] + "…"
 
 
 def warnings(project: Project) -> list[str]:
-    """Return what is allowed but probably not meant."""
+    """Return warnings about settings that are valid but probably not intended."""
     found = []
     if isinstance(chosen := chosen_backend(project), RosplcError):
-        found.append(f"on this machine the bridge would not start: {chosen.what}. {chosen.remedy}")
+        found.append(f"the bridge would not start on this machine: {chosen.what}. {chosen.remedy}")
     elif missing := why_not_installed(chosen.name):
         found.append(
-            f"on this machine the bridge would not start: the package of backend {chosen.name} is not "
-            f"installed: {missing}. For {chosen.name}: {INSTALL.get(chosen.name, 'a complete rosplc')}."
+            f"the bridge would not start on this machine: the package for the {chosen.name} backend cannot "
+            f"be imported: {missing}. For {chosen.name}: {INSTALL.get(chosen.name, 'a complete rosplc')}."
         )
     if (here := os.environ.get("ROS_DISTRO")) and here != project.config.settings.ros.distro:
         found.append(
@@ -377,7 +377,7 @@ def warnings(project: Project) -> list[str]:
         )
     found += [*open_doors(project.config), *contention(project.config)]
     if isinstance(names := plc_names(project), RosplcError):
-        found.append(f"rosplc generate would refuse this: {names.what} [{names.code}]. {names.remedy}")
+        found.append(f"rosplc generate would fail: {names.what} [{names.code}]. {names.remedy}")
     if not project.plans:
         found.append("the file has no topics, services or actions, so a bridge would carry nothing")
     for plan in project.topics:
@@ -388,22 +388,22 @@ def warnings(project: Project) -> list[str]:
             )
         if plan.truncate:
             found.append(
-                f"{plan.topic}: on_overflow is truncate, so the PLC may see shortened data (xTruncated)."
+                f"{plan.topic}: on_overflow is truncate, so the PLC may receive truncated data (xTruncated)."
             )
         if plan.classic is not None and plan.on_stale.action in ("zero", "value"):
             found.append(
-                f"{plan.topic}: on_stale with classic: a message that is repeated unchanged counts as "
-                "silence, because only a changed record shows a new message; have the source change a field."
+                f"{plan.topic}: in classic memory, only a changed record indicates a new message, so "
+                "on_stale treats unchanged messages as silence. Let the source change a field every time."
             )
         if plan.classic is not None and not plan.classic.semaphore:
             found.append(
-                f"{plan.topic}: no lock guards the classic memory {plan.classic.name}; a record larger than "
-                "a machine word can be read half-written."
+                f"{plan.topic}: no lock guards the classic memory {plan.classic.name}, so a record larger "
+                "than a machine word may be read while it is being written."
             )
     total = sum(memory(project, plan)["memory_bytes"] for plan in project.topics)
     if total > _MUCH_MEMORY:
         found.append(
-            f"all objects together take {in_bytes(total)} of shared memory; "
+            f"all topics together need {in_bytes(total)} of shared memory; "
             "containers often have only 64 MiB (--shm-size)."
         )
     return found

@@ -60,7 +60,7 @@ def test_a_runtime_that_ends_is_named() -> None:
         os.kill(int(runtime), signal.SIGKILL)
         out, err = child.communicate(timeout=120)
     assert child.returncode == 1, out + err
-    assert "the OpenPLC runtime has ended" in err
+    assert "the OpenPLC runtime stopped unexpectedly" in err
 
 
 def test_a_killed_plc_takes_the_runtime_with_it() -> None:

@@ -308,7 +308,7 @@ def test_paper(config: Callable[..., Path]) -> None:
     path = config()
     lines = rosplc("doctor", path).stdout.splitlines()
     assert all(len(line) <= 80 for line in lines if not line.lstrip().startswith("$ "))
-    assert lines[-1].endswith(" fine") and " errors, " in lines[-1]
+    assert lines[-1].endswith(" passed") and " errors, " in lines[-1]
     assert any("[DOC601]" in line for line in lines)
     worst = [line[2:10].strip() for line in lines if line[2:10].strip() in ("error", "warning", "note", "ok")]
     assert "ok" in worst and worst.index("ok") > 0

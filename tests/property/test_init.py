@@ -109,7 +109,7 @@ def test_whatever_is_found_the_file_loads_and_checks_clean(robot, to, data) -> N
             assert set(entry.settings) or not plan.latched or entry.to == "ros"
         wrong = [text for text in check(project)["warnings"] if "a record is" not in text]
         assert [
-            text for text in wrong if "all objects together" not in text and "has no topics" not in text
+            text for text in wrong if "all topics together" not in text and "has no topics" not in text
         ] == []
         # The comments hold no line of their own: what is no comment is what was meant.
         keys = [line for line in path.read_text().split("\n") if line.startswith("  /")]

@@ -385,7 +385,7 @@ def test_a_test_message_is_written_by_the_form(pages: Pages, machine: Machine) -
     page.get_by_role("button", name="Write now").click()
     expect(page.locator(".result")).to_have_text(re.compile("^Written as message number"))
     expect(page.locator(".tree .leaf").first.locator(".field-value")).to_have_text("0.75")
-    expect(page.locator('[data-kind="written"]')).to_contain_text("wrote a test message")
+    expect(page.locator('[data-kind="written"]')).to_contain_text("wrote test message")
 
 
 @LONG

@@ -144,13 +144,13 @@ def test_a_token_file_gives_its_token(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("content", "mode", "what"),
     [
-        ("0123456789abcdef", 0o640, "other than its owner"),
-        ("0123456789abcdef", 0o604, "other than its owner"),
-        ("short", 0o600, "does not contain a token"),
-        ("0123456789 abcdef", 0o600, "does not contain a token"),
-        ("0123456789abcdef\nsecond", 0o600, "does not contain a token"),
-        ("ä" * 20, 0o600, "does not contain a token"),
-        ("x" * 1000, 0o600, "does not contain a token"),
+        ("0123456789abcdef", 0o640, "other than the owner"),
+        ("0123456789abcdef", 0o604, "other than the owner"),
+        ("short", 0o600, "has no token"),
+        ("0123456789 abcdef", 0o600, "has no token"),
+        ("0123456789abcdef\nsecond", 0o600, "has no token"),
+        ("ä" * 20, 0o600, "has no token"),
+        ("x" * 1000, 0o600, "has no token"),
     ],
 )
 def test_a_token_file_that_is_not_safe_is_refused(tmp_path, content: str, mode: int, what: str) -> None:

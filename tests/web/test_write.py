@@ -61,7 +61,7 @@ def test_a_message_towards_ros_is_written_and_the_claim_given_back(serving, shm_
             values = layout_of(TWIST).to_dict(record)
             assert (values["linear"]["x"], values["angular"]["z"], values["linear"]["y"]) == (0.25, -1.0, 0.0)
             assert channel.snapshot().writer.epoch == 0
-            assert "wrote a test message, number 1" in await event(client, "written", "/cmd")
+            assert "wrote test message number 1" in await event(client, "written", "/cmd")
 
     serving(talk, **ALLOWED)
 
@@ -99,7 +99,7 @@ def test_a_running_bridge_is_not_talked_over(serving, shm_namespace) -> None:
             assert (status, answer["error"]["code"]) == (409, "WEB010")
             assert "bridge" in answer["error"]["what"]
             assert channel.path.read_bytes() == before
-            assert "may not write" in await event(client, "write-refused", "/pose")
+            assert "cannot write" in await event(client, "write-refused", "/pose")
 
     serving(talk, **ALLOWED)
 

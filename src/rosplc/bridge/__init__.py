@@ -1,4 +1,4 @@
-"""A running bridge between ROS and the channels."""
+"""The running bridge between ROS and the channels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A topic's object inside a user's own ROS node, whose loop writes and reads; without a backend."""
+"""Access to a topic's object from a user's own ROS node, without a backend."""
 
 from __future__ import annotations
 
@@ -45,34 +45,34 @@ def bind(
     gid: int | None = None,
     name: str = "bind",
 ) -> Binding:
-    """Create, or adopt, a topic's object and own it until :meth:`Binding.close`.
+    """Create or adopt a topic's object, and own it until :meth:`Binding.close`.
 
     Args:
         topic: As ROS writes it, ``"/robot1/cmd_vel"``.
-        type: ``"package/msg/Name"``, or the message class of rclpy or rospy; with a class,
-            :meth:`Binding.read` returns its objects.
+        type: ``"package/msg/Name"``, or an rclpy or rospy message class; with a class,
+            :meth:`Binding.read` returns objects of this class.
         direction: ``"to_plc"`` to write, ``"to_ros"`` to read.
-        print: Log each message (logger ``rosplc.bind``, level INFO), for debugging; on stderr if the
-            program has set up no logging.
-        limits: Capacities: a :class:`~rosplc.layout.Limits`, or a mapping of field paths in which
-            ``string`` and ``sequence`` stand for the defaults. The PLC's code must be generated
-            with the same.
-        truncate: Cut what does not fit instead of refusing the message (``to_plc``).
-        every: Return every message in order instead of the newest (``to_ros``).
-        slots: A power of two from 4; one less messages can wait.
-        distro: Whose definitions hold; by default ``ROS_DISTRO``, else jazzy; for rospy's classes noetic.
+        print: Log each message (logger ``rosplc.bind``, level INFO) for debugging; to stderr if the
+            program has not configured logging.
+        limits: Capacities: a :class:`~rosplc.layout.Limits`, or a mapping from field paths to limits, in
+            which ``string`` and ``sequence`` are the defaults. The PLC's code must be generated
+            with the same limits.
+        truncate: Cut off what does not fit instead of refusing the message (``to_plc``).
+        every: Return every message in order, instead of the newest (``to_ros``).
+        slots: A power of two, at least 4; up to ``slots - 1`` messages can wait.
+        distro: The source of definitions; default: ``ROS_DISTRO``, else jazzy; with rospy classes, noetic.
         paths: Folders with custom ``.msg``, ``.srv`` and ``.action`` files.
         prefix: First part of the object's name.
-        directory: Where the object lies.
-        mode: Its permission bits.
-        gid: Its group; None for this process's.
-        name: What the self-description calls this program.
+        directory: The directory of the object.
+        mode: The object's permission bits.
+        gid: The object's group; None for the group of this process.
+        name: The name of this program in the self-description.
 
     Raises:
         ChannelError: SHM116 if a bridge or another program holds the name; SHM117, SHM118, SHM119.
         MessageTypeError: TYP001 …, the type cannot be found.
         LayoutError: LAY001 …, the limits do not fit the type.
-        ValueError: ``direction`` is neither of the two.
+        ValueError: ``direction`` is invalid.
     """
     if direction not in _DIRECTIONS:
         raise ValueError(f"direction is {direction!r}; it must be 'to_plc' or 'to_ros'")
@@ -94,9 +94,9 @@ def bind(
 
 
 class Binding:
-    """A topic's object in this process's hands; made by :func:`bind`, a context manager that closes it.
+    """A topic's object that this process owns; returned by :func:`bind`; a context manager that closes it.
 
-    While it is open, a background thread shows the PLC that this process lives.
+    While it is open, a background thread shows the PLC that this process is alive.
 
     Attributes:
         topic: The topic.
@@ -138,13 +138,13 @@ class Binding:
         return f"Binding({self.topic}, {self.layout.type_name}, {way}{', closed' if self.closed else ''})"
 
     def write(self, message: Any, *, stamp_ns: int | None = None) -> int:
-        """Put a message where the PLC reads it, and return its sequence number.
+        """Write a message for the PLC, and return its sequence number.
 
-        It is an object of rclpy, rospy or rosbags, a mapping, or serialized bytes (CDR with its header; for
-        noetic ROS 1's serialization); ``stamp_ns`` is the source stamp, ns since 1970 (None: now). Raises
-        CodecError if serialized bytes do not fit, with field, size and limit; LayoutError LAY006, a value
-        does not fit its field; ChannelError SHM110 if the direction is to_ros, SHM117 … if the object
-        vanished and cannot be made again.
+        The message is an object of rclpy, rospy or rosbags, a mapping, or serialized bytes (CDR with header;
+        for noetic, ROS 1 serialization). ``stamp_ns`` is the source stamp, ns since 1970 (None: now). Raises
+        CodecError, with field, size and limit, if serialized bytes do not fit; LayoutError LAY006 if a value
+        does not fit its field; ChannelError SHM110 if the direction is to_ros, SHM117 … if the object has
+        vanished and cannot be created again.
         """
         if not self._to_plc:
             raise ChannelError("SHM110", "this binding can only read messages from the PLC", where=self.topic)
@@ -155,7 +155,7 @@ class Binding:
         return sequence
 
     def _use(self, work: Callable[[], Any]) -> Any:
-        """Do something with the object, a second time with a new one if the first was retired."""
+        """Use the object; if it was retired, repeat this with a new object."""
         with self._lock:
             self._look_after()
             try:
@@ -177,9 +177,9 @@ class Binding:
             raise self._codec.explain(fault) from None
 
     def read(self) -> Any:
-        """Return a message from the PLC: the newest, or with ``every`` the next; None if nothing is new.
+        """Return a message from the PLC: the newest, or with ``every`` the next; None if there is no new one.
 
-        It is an object of the message class that was given to :func:`bind`, else a
+        The message is an object of the message class that was passed to :func:`bind`, otherwise a
         :class:`~rosplc.layout.RecordView` with the fields as attributes. Raises ChannelError SHM110 if the
         direction is to_plc; SHM117 … as for :meth:`write`.
         """
@@ -213,13 +213,13 @@ class Binding:
         return 0 if self._to_plc or self._user is None else int(self._user.lost)
 
     def beat(self) -> None:
-        """Show that this process lives; the background thread does it ten times a second."""
+        """Send a heartbeat; the background thread does this ten times per second."""
         with self._lock:
             if self._user is not None:
                 self._user.beat()
 
     def close(self) -> None:
-        """Leave the object, with its last state, for the PLC and the next owner; harmless twice."""
+        """Close the object, which keeps its last state for the PLC and the next owner; callable twice."""
         with self._lock:
             self.closed = True
             self._leave()
@@ -247,7 +247,7 @@ class Binding:
         self._open()
 
     def _look_after(self) -> None:
-        """Check about once a second that the name still leads to the object."""
+        """Check about once per second that the name still refers to the object."""
         if self.closed:
             raise ValueError(f"the binding of {self.topic} is closed")
         now = self._clock.monotonic_ns()
@@ -284,13 +284,13 @@ def _be_heard() -> None:
 
 
 def definition_of(message_class: type | None) -> str | None:
-    """Return the definition that a class of rospy carries, None for all others."""
+    """Return the definition that a rospy class contains; None for other classes."""
     text = getattr(message_class, "_full_text", None)
     return text if isinstance(text, str) else None
 
 
 def type_name_of(message_class: type) -> str:
-    """Return the type name of a message class of rospy, rosbags or rclpy; raises TYP001 if it is none."""
+    """Return the type name of a message class of rospy, rosbags or rclpy; raises TYP001 for other classes."""
     for attribute in ("_type", "__msgtype__"):
         if isinstance(name := getattr(message_class, attribute, None), str):
             return name
@@ -299,20 +299,20 @@ def type_name_of(message_class: type) -> str:
         raise MessageTypeError(
             "TYP001",
             f"{message_class.__name__} is not a message class",
-            remedy="Pass a message class of rclpy or rospy, or the name of the type.",
+            remedy="Pass an rclpy or rospy message class, or the name of the type.",
         )
     return f"{package}/msg/{message_class.__name__}"
 
 
 def deserialize(message_class: type, data: bytes) -> Any:
-    """Return an object of a class of rospy or rclpy."""
+    """Deserialize an object of a rospy or rclpy class."""
     if hasattr(message_class, "deserialize"):  # rospy
         return message_class().deserialize(data)
     return importlib.import_module("rclpy.serialization").deserialize_message(data, message_class)
 
 
 class Beats:
-    """The thread and its members; it ends when the last member has gone."""
+    """The heartbeat thread and its members; the thread ends when the last member is gone."""
 
     _all: ClassVar[weakref.WeakSet[Binding]] = weakref.WeakSet()
     _lock = threading.Lock()
@@ -320,7 +320,7 @@ class Beats:
 
     @classmethod
     def add(cls, member: Binding) -> None:
-        """Beat for a member until it is closed or nobody refers to it any more."""
+        """Send heartbeats for a member until it is closed or no longer referenced."""
         with cls._lock:
             cls._all.add(member)
             if not cls._running:

@@ -1,4 +1,4 @@
-"""A service or action between the PLC and a user's own program, which has ROS' place."""
+"""A service or action between the PLC and a user's program, which takes the place of ROS."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Goal = Generator[Mapping[str, Any], None, Mapping[str, Any] | None]
 def _bridged(
     kind: Literal["services", "actions"], name: str, type_name: str, serves: bool, settings: dict[str, Any]
 ) -> Iterator[tuple[Any, Bridge, Backend]]:
-    """Give the plan of a service or action, its bridge, and the program's node on the bridge's other side."""
+    """Provide the plan of a service or action, its bridge, and the program's node on the ROS side."""
     what = {name: {"type": type_name, "server": "ros" if serves else "plc"}}
     project = resolve(parse_config(json.dumps({"diagnostics": {"enabled": False}, **settings, kind: what})))
     side, program = memory.open_apart(project.store, "bind", "program")
@@ -38,20 +38,20 @@ def _bridged(
 def bind_service(
     service: str, type: str, handler: Callable[[RecordView], Mapping[str, Any]] | None = None, **settings: Any
 ) -> Iterator[Callable[..., RecordView]]:
-    """Carry a service in a bridge's place, until the block ends; its value calls the PLC.
+    """Carry a service in place of a bridge until the ``with`` block ends; its value calls the PLC.
 
     ``call(request, timeout=5.0)`` returns the response, or raises ChannelError: SHM140, the call was not
-    carried out and never will be; SHM141, it may have been.
+    executed and never will be; SHM141, it may have been executed.
 
     Args:
         service: As ROS writes it, ``"/cell/start"``.
         type: ``"package/srv/Name"``.
-        handler: Carries out what the PLC calls, in another thread: it is given the request and returns the
-            response; if it raises, the PLC gets none. Without one the PLC serves.
+        handler: Executes the PLC's calls in another thread: it gets the request and returns the response. If
+            it raises, the PLC gets no response. Without a handler, the PLC is the server.
         settings: Further keys of the configuration: ``prefix="cell1"``, ``limits={"string": 40}``.
 
     Raises:
-        ConfigErrors: As in a configuration.
+        ConfigErrors: The arguments are invalid, as in a configuration.
         ChannelError: SHM116 if a bridge or another program holds a name; SHM117 ….
     """
     with _bridged("services", service, type, handler is not None, settings) as (plan, bridge, program):
@@ -80,8 +80,8 @@ def bind_service(
                 client.forget(number)
             # While a call before it is open, that may be the one that was refused.
             refused = after[0] > before[0] and not before[2]
-            code, how = ("SHM140", "not executed") if refused else ("SHM141", "fate unknown")
-            raise ChannelError(code, f"the call ended: {how}", where=service)
+            code, how = ("SHM140", "was not executed") if refused else ("SHM141", "may have been executed")
+            raise ChannelError(code, f"the call {how}", where=service)
 
         if handler:
             server = program.serve(service, type, SERVICES, on_request)
@@ -98,20 +98,20 @@ def bind_action(
     | None = None,
     **settings: Any,
 ) -> Iterator[Callable[..., RecordView]]:
-    """Carry an action in a bridge's place, until the block ends; its value sends goals to the PLC.
+    """Carry an action in place of a bridge until the ``with`` block ends; its value sends goals to the PLC.
 
     ``send(goal, feedback=None, timeout=None)`` returns the result. It calls ``feedback`` with each feedback;
     if that returns True, or after ``timeout`` seconds, the PLC is asked to cancel the goal. It raises
-    ChannelError: SHM140, the goal was not begun and never will be; SHM141, it may have been; SHM143, it was
-    aborted; SHM144, it was canceled.
+    ChannelError: SHM140, the goal was not begun and never will be; SHM141, it may have been begun; SHM143, it
+    was aborted; SHM144, it was canceled.
 
     Args:
         action: As ROS writes it, ``"/cell/count"``.
         type: ``"package/action/Name"``.
-        handler: Carries out the PLC's goals, each in a thread: a generator that is given the goal, yields
-            feedback and returns the result. It is closed at a ``yield`` when the PLC cancels the goal, or the
-            block ends; if it raises, the goal is aborted. The end of the block takes up to 4 s for that, and
-            aborts all goals. Without a handler the PLC carries goals out.
+        handler: Executes the PLC's goals, each in a thread: a generator that gets the goal, yields feedback
+            and returns the result. It is closed at a ``yield`` when the PLC cancels the goal or the block
+            ends. If it raises, the goal is aborted. At its end, the block aborts all goals and waits up to
+            4 s for the handlers. Without a handler, the PLC is the server.
         settings: Further keys of the configuration: ``prefix="cell1"``, ``limits={"string": 40}``.
 
     Raises:

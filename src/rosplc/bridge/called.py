@@ -1,4 +1,4 @@
-"""What the PLC calls: the bridge is the answerer towards the PLC."""
+"""Services and actions that the PLC calls: towards the PLC, the bridge is the answerer."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class Asked(Use):
 
     @property
     def _epoch(self) -> int:
-        """The life of the PLC's program; 0 while there is none."""
+        """Identifies the run of the PLC's program; 0 while none is running."""
         return self._channels[self._asks].region.word(spec.WRITER_LINE["writer_epoch"])
 
     # -- the PLC's side
 
     def turn(self, now_ns: int) -> None:
-        """Go on with the call."""
+        """Continue the call."""
         writer, reader, answerer, client = self._writer, self._reader, self._answerer, self._endpoint
         if writer is None or reader is None or answerer is None:
             return
@@ -68,7 +68,7 @@ class Asked(Use):
         self.due_ns = now_ns + (LOOK_NS if waits or self._open_call is not None else IDLE_NS)
 
     def _deserted(self, epoch: int) -> bool:
-        """Whether the open call is of another life of the PLC's program: what it calls has other numbers."""
+        """Whether the open call is from another run of the PLC's program, whose calls have other numbers."""
         return self._open_call is not None and self._open_call >> 32 != epoch
 
     def _take(self, reader: Reader, answerer: Answerer, now_ns: int) -> None:
@@ -90,7 +90,7 @@ class Asked(Use):
                 self._begin(what, payload, info, now_ns)
 
     def _begin(self, what: str, payload: bytes, info: SlotInfo, now_ns: int) -> None:
-        """Act on a new call of the PLC's."""
+        """Act on a new call from the PLC."""
         if what == "withdrawn":
             self._answer("not executed", Reason.CALLER_GONE, now_ns)
         elif what == "unknown":
@@ -137,13 +137,13 @@ class Asked(Use):
 
     @abstractmethod
     def _hear(self, now_ns: int) -> None:
-        """Pass on what the ROS side has told."""
+        """Process the events from the ROS side."""
 
     # -- beginning and end
 
     @abstractmethod
     def _give_up(self, reason: Reason, now_ns: int) -> None:
-        """Wait no longer for ROS: the call may have been executed."""
+        """Stop waiting for ROS: the call may have been executed."""
 
     def _claimed(self) -> None:
         answers = self._channels[self._answers]
@@ -161,10 +161,10 @@ class Asked(Use):
 
     @abstractmethod
     def _resume(self, number: int, lives: bool, now_ns: int) -> None:
-        """Go on with a call that may have been begun, 0: none; ``lives``: the program that called does."""
+        """Resume a call that may have begun (0: none); ``lives``: the calling program is still running."""
 
     def finish(self, now_ns: int) -> None:
-        """Leave the open call."""
+        """Detach from the open call."""
         self._let_go(now_ns)
 
 
@@ -174,7 +174,7 @@ class Called(Asked):
     plan: ServicePlan
     _endpoint: ServiceClient | None
     _sent: int | None = None
-    """The open call's number in ROS; that of an earlier one does no harm."""
+    """The open call's number in ROS; the number of an earlier call does no harm."""
 
     def _connect(self, backend: Backend) -> ServiceClient:
         plan = self.plan
@@ -220,13 +220,13 @@ class Called(Asked):
 
 _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS = 100_000_000, 5_000_000_000
 _MOST_LEFT = 64
-"""Goals that the PLC does not wait for and that are still to be canceled."""
+"""Maximum number of goals that the PLC no longer waits for and that are still to be canceled."""
 _MOST_WAITING = 64
-"""Events with which feedback is passed on that others have overtaken."""
+"""Number of queued events up to which overtaken feedback is still passed on."""
 _PATIENCE_NS, _UNDECIDED_NS = 2_000_000_000, 600_000_000_000
-"""How long the PLC waits for a goal that the server does not know, and this bridge to have it canceled.
+"""How long the PLC waits for a goal that is unknown to the server, and this bridge to have it canceled.
 
-A server tells its decision to the bridge that sent the goal alone; to any other it does not know it before.
+A server sends its decision only to the bridge that sent the goal; before, the goal is unknown to others.
 """
 _ENDS: dict[GoalStatus, tuple[int, Outcome]] = {
     GoalStatus.SUCCEEDED: (spec.ANSWER_SUCCEEDED, "succeeded"),
@@ -237,7 +237,7 @@ _ENDS: dict[GoalStatus, tuple[int, Outcome]] = {
 
 @dataclass
 class _Goal:
-    """A goal of the PLC's in ROS."""
+    """A goal of the PLC in ROS."""
 
     uuid: bytes
     number: int  # its call's correlation
@@ -252,16 +252,16 @@ class _Goal:
     pause_ns: int = 0
 
     def wait(self, now_ns: int) -> None:
-        """Ask the server again, later than the time before."""
+        """Schedule the next query to the server, later than the last one."""
         self.pause_ns = min(self.pause_ns * 2 or _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS)
         self.due_ns = now_ns + self.pause_ns
 
 
 class CalledGoals(Asked):
-    """An action that the PLC sends goals to.
+    """An action to which the PLC sends goals.
 
-    A goal that the PLC does not wait for any more, and that is not to go on, is kept until its server has
-    answered to be asked to cancel it: it may be accepted later, or be out of reach.
+    If the PLC no longer waits for a goal that must not continue, the goal is kept until its server has
+    answered a request to cancel it: it may be accepted later, or the server may be unreachable.
     """
 
     plan: ActionPlan
@@ -281,7 +281,7 @@ class CalledGoals(Asked):
         return next((goal for goal in self._goals.values() if goal.number == self._open_call), None)
 
     def turn(self, now_ns: int) -> None:
-        """Go on with all goals."""
+        """Continue all goals."""
         super().turn(now_ns)
         self._ask(now_ns)
         goal = self._goal
@@ -291,7 +291,7 @@ class CalledGoals(Asked):
     # -- the PLC's side
 
     def _uuid(self, number: int, asks: Mapped | None = None) -> bytes:
-        """Return the UUID of a goal that is in the present object, or in another."""
+        """Return the UUID of a goal in the current object, or in another one."""
         generation = (asks or self._channels[Part.GOAL]).identity.generation
         return struct.pack("<4I", generation, number >> 32, number & 0xFFFFFFFF, spec.GOAL_ID_END)
 
@@ -302,7 +302,7 @@ class CalledGoals(Asked):
         uuid, now = self._uuid(info.correlation), self._now()
         assert self._endpoint is not None
         if info.client != uuid:
-            self._answer("not executed", Reason.REJECTED, now, "the goal's UUID does not match its number")
+            self._answer("not executed", Reason.REJECTED, now, "the goal's UUID does not match the call")
         elif self._endpoint.send(uuid, payload):
             self._goals[uuid] = _Goal(uuid, info.correlation)
         else:
@@ -322,7 +322,7 @@ class CalledGoals(Asked):
             goal.said = 0
 
     def _report(self, goal: _Goal) -> None:
-        """Tell the PLC how its goal stands."""
+        """Report the state of the goal to the PLC."""
         if goal.accepted and goal.number == self._open_call:
             status = spec.ANSWER_ACCEPTED | goal.said
             self._send(self._initial, correlation=goal.number, status=status, client=goal.uuid)
@@ -330,7 +330,7 @@ class CalledGoals(Asked):
     # -- the ROS side
 
     def _ask(self, now_ns: int) -> None:
-        """Ask the server what is to be asked, as far as it is there."""
+        """Send the requests that are due, if the server is available."""
         client = self._endpoint
         if client is None or not client.ready:
             return
@@ -359,7 +359,7 @@ class CalledGoals(Asked):
                 self._learn(goal, event, now_ns)
 
     def _learn(self, goal: _Goal, event: GoalEvent, now_ns: int) -> None:
-        """Take what has become of a goal."""
+        """Process an event of a goal."""
         reply = event.reply or Reply()
         match event.kind:
             case "accepted":
@@ -389,7 +389,7 @@ class CalledGoals(Asked):
             case "lost":
                 if not goal.pause_ns:
                     why = reply.text or WORDS[reply.reason]
-                    self.note(now_ns, f"the server returned no result; requesting it again: {why}")
+                    self.note(now_ns, f"the server returned no result ({why}); requesting it again")
                 goal.lost = True
                 goal.wait(now_ns)
 
@@ -410,7 +410,7 @@ class CalledGoals(Asked):
             return
         record, _, text = self._read(Part.FEEDBACK, payload)
         if text:
-            self.note(now_ns, f"feedback was not passed on: {text}", "SHM142")
+            self.note(now_ns, f"feedback was not forwarded to the PLC: {text}", "SHM142")
             return
         self._send(
             record, Part.FEEDBACK, correlation=goal.number, status=spec.ANSWER_ACCEPTED, client=goal.uuid
@@ -428,8 +428,8 @@ class CalledGoals(Asked):
         self._end(goal, outcome, reason, now_ns, text, record, status)
 
     def _unknown(self, goal: _Goal, now_ns: int) -> None:
-        """Take in that the server does not know a goal: not any more, or not before it has decided."""
-        words = "the server does not know the goal"
+        """Note that a goal is unknown to the server: it was forgotten, or is not decided yet."""
+        words = "the goal is unknown to the server"
         again, goal.unknown_ns = bool(goal.unknown_ns), goal.unknown_ns or now_ns
         # One answer may be older than the status that has told of the acceptance.
         if (goal.accepted and again) or now_ns - goal.unknown_ns > _UNDECIDED_NS:
@@ -442,7 +442,7 @@ class CalledGoals(Asked):
             self._leave(goal)
 
     def _end(self, goal: _Goal, *answer: Any) -> None:
-        """A goal has ended, with an answer as :meth:`_answer` has it; the PLC may have to be told later."""
+        """End a goal with an answer as for :meth:`_answer`; the PLC may have to be told later."""
         goal.lost = goal.decided = True
         if goal.number == self._open_call:
             self._answer(*answer)  # or, if that fails, the server is asked for the result once more
@@ -457,7 +457,7 @@ class CalledGoals(Asked):
             self._leave(goal, keep=reason is Reason.PLC_DOWN and self.plan.when_plc_down == "keep")
 
     def _leave(self, goal: _Goal, *, keep: bool = False) -> None:
-        """Have a goal canceled that the PLC does not wait for any more."""
+        """Have a goal canceled that the PLC no longer waits for."""
         goal.cancel, goal.due_ns = True, 0
         left = [one for one in self._goals.values() if one.number != self._open_call]
         for one in [goal] if keep else left[:-_MOST_LEFT]:
@@ -469,7 +469,7 @@ class CalledGoals(Asked):
             self._endpoint.forget(goal.uuid)
 
     def _unended(self, number: int, lives: bool, channels: Mapping[Part, Mapped]) -> int:
-        """Return the number of the goal of an earlier bridge's that ROS may have; 0: there is none."""
+        """Return the number of an earlier bridge's goal that may exist in ROS; 0: there is none."""
         cancels = self.plan.when_plc_down == "cancel"
         if number and (lives or cancels):
             return number
@@ -489,7 +489,7 @@ class CalledGoals(Asked):
         return (self._uuid(number, asks), number) if number else None
 
     def _bereft(self, left: tuple[bytes, int]) -> None:
-        """Have a goal of an earlier bridge's canceled."""
+        """Have a goal of an earlier bridge canceled."""
         uuid, number = left
         goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, lost=True))
         goal.cancel = True
@@ -521,12 +521,12 @@ class CalledGoals(Asked):
         self._report(goal)
 
     def _let_go(self, now_ns: int) -> None:
-        """The goal goes on in ROS: with other objects, or the next bridge."""
+        """Let the goal continue in ROS, with other objects or with the next bridge."""
         with suppress(RosplcError, OSError, ValueError, AssertionError):
             self._hear(now_ns)
 
     def give_up(self, now_ns: int) -> None:
-        """End the open call and have its goal canceled: no other bridge finds it."""
+        """End the open call and have its goal canceled: no other bridge will find it."""
         self._let_go(now_ns)
         with suppress(RosplcError, OSError, ValueError, AssertionError):
             if self._open_call is not None:

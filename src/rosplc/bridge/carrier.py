@@ -1,4 +1,4 @@
-"""The threads of a bridge: one carries for the ports of each kind and direction, others look after duties."""
+"""The threads of a bridge: one per kind and direction of ports, and others for periodic duties."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _USES: dict[tuple[str, str], Callable[..., Use]] = {
 class CallPorts(Grouped[Any]):
     """The uses of all services and actions of a bridge.
 
-    The thread of their carrier owns all that is known of calls: the ROS side's threads give it events, and
-    the PLC's blocks write into shared memory (spec/shm-format.md, section 11). At most one call is open per
-    use; what else waits is queued by the use, and can expire without the PLC having seen it.
+    The carrier's thread owns the state of all calls: the threads of the ROS side give it events, the PLC's
+    blocks write to shared memory (spec/shm-format.md, section 11). At most one call per use is open; further
+    calls wait in the use's queue and can expire before the PLC has seen them.
     """
 
     def __init__(self, context: Context, tick_ns: int) -> None:
@@ -50,7 +50,7 @@ class CallPorts(Grouped[Any]):
         return _USES[plan.kind, plan.server](plan, self._context, self._tell)
 
     def add(self, port: Use) -> None:
-        """Serve a use whose objects are open."""
+        """Start to serve a use whose objects are open."""
         watched = port.watch(self._group)
         self._ports |= dict.fromkeys(watched, port)
         self._heads = {index: head for index, head in self._heads.items() if index not in watched}
@@ -65,7 +65,7 @@ class CallPorts(Grouped[Any]):
         self._wait(self._tick_ns if lively else max(self._tick_ns, LAZY_TICK_NS), IDLE_NS, due_ns)
 
     def take(self, now_ns: int) -> tuple[int | None, list[Use]]:
-        """Go on with the calls of all uses that have news or whose time has come."""
+        """Continue the calls of all uses that have new events or are due."""
         messages, faults = self._group.take()
         # A request that waits for a server is news once; the use looks at it again by itself.
         news = {self._ports[index] for index, _, head, *_ in messages if self._heads.get(index) != head}
@@ -94,14 +94,14 @@ class CallPorts(Grouped[Any]):
         return min((use.due_ns for use in self._ports.values()), default=None), again
 
 
-_HANGS = "publishing to ROS is blocked; the bridge no longer waits for it"
+_HANGS = "publishing to ROS is blocked; the bridge no longer waits for it to finish"
 _PATIENCE_S = 5.0
 
 Carried: TypeAlias = "Stream | Use"  # what a carrier's thread serves
 
 
 class Carrier:
-    """The thread of all streams over one kind of port in one direction; without streams there is none."""
+    """The thread for all streams over one kind of port in one direction; exists only with streams."""
 
     def __init__(self, name: str, ports: Ports[Any], clock: Clock) -> None:
         self.ports = ports
@@ -119,7 +119,7 @@ class Carrier:
 
     @property
     def running(self) -> bool:
-        """Whether there is a thread."""
+        """Whether the thread exists."""
         return self._thread is not None
 
     def _start(self) -> None:
@@ -127,7 +127,7 @@ class Carrier:
         self._thread.start()
 
     def stop(self) -> bool:
-        """End, and pass on what waits; return whether the thread ended in time."""
+        """Stop, after passing on what is waiting; return whether the thread ended in time."""
         self._stopping = True
         self.ports.wake()
         if self._thread is not None:
@@ -139,7 +139,7 @@ class Carrier:
         return True
 
     def reopen(self, stream: Carried) -> None:
-        """Have a stream's port opened again; from any thread."""
+        """Request that a stream's port be opened again; callable from any thread."""
         if stream not in self._reopening:
             self._reopening.add(stream)
             self._jobs.append(lambda: self._reopen(stream))
@@ -148,8 +148,8 @@ class Carrier:
     def replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> bool:
         """Carry other streams from now on; return False, with nothing changed, if the ROS side hangs.
 
-        From any thread but its own. The leaving ones get a last look at what is new, and may be closed then;
-        the coming ones are connected.
+        Callable from any thread except the carrier's own. The leaving streams are polled a last time and may
+        then be closed; the coming streams are already connected.
         """
         if self._thread is None:
             self._replace(leaving, coming)
@@ -239,7 +239,7 @@ class Carrier:
 
 
 class Carriers:
-    """All carriers of a bridge, and which of them carries a stream; ``tick_ns`` is that towards ROS."""
+    """All carriers of a bridge, by stream; ``tick_ns`` is the tick towards ROS."""
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
@@ -260,7 +260,7 @@ class Carriers:
         return self._carriers[plan.port, None if isinstance(plan, CallPlan) else plan.direction]
 
     def make(self, plan: Plan) -> Carried:
-        """Return the stream or the use of a plan; nothing is opened yet."""
+        """Return the stream or use of a plan without opening anything."""
         if isinstance(plan, CallPlan):
             return self._calls.make(plan)
         carrier = self.of(plan)
@@ -278,22 +278,22 @@ class Carriers:
 
     @property
     def busy_since_ns(self) -> int:
-        """Since when a thread has been publishing what it holds; 0 if none is."""
+        """The time since which a thread has been publishing a message; 0 if none is publishing."""
         return min((since for one in self._to_ros() if (since := one.busy_since_ns)), default=0)
 
     @property
     def turned_ns(self) -> int:
-        """When the thread of the channels towards ROS, or that of the calls, last began a round."""
+        """The last time at which the thread of the channels towards ROS, or of the calls, began a round."""
         carriers = (self._carriers["channel", way] for way in (Direction.TO_ROS, None))
         turned = (carrier.turned_ns for carrier in carriers if carrier.running)
         return min(turned, default=self._context.clock.monotonic_ns())
 
     def reopen(self, stream: Carried) -> None:
-        """Have a stream's port opened again, by the thread that may."""
+        """Request that the responsible thread open a stream's port again."""
         self.of(stream.plan).reopen(stream)
 
     def replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> bool:
-        """Carry other, open streams; pass on what the leaving ones held. False: ROS hangs, no change."""
+        """Carry other, open streams and flush the leaving ones; return False, unchanged, if ROS hangs."""
         now = self._context.clock.monotonic_ns()
         for stream in coming:
             stream.begin(now)
@@ -313,7 +313,7 @@ class Carriers:
         return True
 
     def stop(self) -> None:
-        """End all threads; what waits for a subscriber or its time is passed on."""
+        """Stop all threads, after passing on messages that wait for a subscriber or for their time."""
         for carrier in self._carriers.values():
             if not carrier.stop():
                 log.error(_HANGS)
@@ -321,7 +321,7 @@ class Carriers:
 
 @dataclass
 class Duty:
-    """Something to be done once per period; when it fails it is logged, and done again."""
+    """A periodic job; a failure is logged, and the job is repeated in the next period."""
 
     what: str
     period_ns: int  # time between two times
@@ -330,7 +330,7 @@ class Duty:
 
 
 class Rounds:
-    """A thread that looks after its duties; it last began a round at ``turned_ns``."""
+    """A thread that runs its duties; it last began a round at ``turned_ns``."""
 
     def __init__(self, name: str, clock: Clock, *duties: Duty) -> None:
         self._clock = clock
@@ -341,16 +341,16 @@ class Rounds:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End; a thread that hangs in the ROS side is left behind after five seconds."""
+        """Stop the thread; a thread that hangs in the ROS side is abandoned after five seconds."""
         self._stopping = True
         self._wake.set()
         self._thread.join(_PATIENCE_S)
         if self._thread.is_alive():
-            log.error("thread %s does not stop; the bridge no longer waits for it", self._thread.name)
+            log.error("thread %s is not stopping; the bridge no longer waits for it", self._thread.name)
 
     def _run(self) -> None:
         for duty in self._duties:

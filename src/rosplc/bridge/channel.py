@@ -32,9 +32,9 @@ _IN_ORDER = 1
 _LINE_WORDS = LINE_SIZE // 4
 _LONGEST_WAIT_NS = 200_000_000
 LAZY_TICK_NS = 10_000_000
-"""The tick while no PLC is there: the wake-ups are what an idle bridge costs."""
+"""The tick while no PLC is running: an idle bridge's CPU use comes from these wake-ups."""
 _ALERT_NS = 10_000_000_000
-"""How long after a message the configured tick holds, whether a writer beats or not."""
+"""How long the configured tick applies after a message, with or without a writer's heartbeat."""
 
 
 class ChannelPort(Port, Generic[_U]):
@@ -78,24 +78,24 @@ class ChannelPort(Port, Generic[_U]):
             log.log(level, "%s: the object was replaced: %s", plan.topic, channel.replaced_reason)
 
     def close(self) -> None:
-        """Leave the object with its last state."""
+        """Close the object, which keeps its last state."""
         self._context.beating.pop(self, None)
         channel, self.channel, self.user = self.channel, None, None
         if channel is not None:
             channel.close()
 
     def retire(self) -> None:
-        """Give the object up: its users are told, and its name is free."""
+        """Retire the object: its users are notified, and its name becomes free."""
         if (channel := self.channel) is not None:
             channel.retire()
         self.close()
 
     @abstractmethod
     def _claim(self, channel: OwnedChannel) -> _U:
-        """Claim what this side claims of an object."""
+        """Claim this side's line of an object."""
 
     def check(self, now_ns: int) -> bool:
-        """Look after object and peer; what lost its claim, or failed, must be opened again."""
+        """Check the object and the PLC; return whether the object must be opened again."""
         channel = self.channel  # another thread may open it again meanwhile
         if channel is None:
             return True
@@ -114,11 +114,11 @@ class ChannelPort(Port, Generic[_U]):
 
     @abstractmethod
     def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
-        """Return whether the PLC's side beats."""
+        """Return whether the PLC's side sends heartbeats."""
         # Reads only the words needed: with 200 topics, whole snapshots would cost half a percent of a core.
 
     def status(self, now_ns: int) -> PortStatus:
-        """Return what is known of the PLC."""
+        """Return the known state of the PLC."""
         return self._status(now_ns)
 
     def _status(self, now_ns: int, lost: int = 0, skipped: int = 0) -> PortStatus:
@@ -140,13 +140,13 @@ class PortToPlc(ChannelPort[Writer]):
         self.sink = Sink()
 
     def open_sink(self, limit_ns: int) -> None:
-        """Let messages pass into the channel."""
+        """Let messages pass directly into the channel."""
         if (writer := self.user) is not None:
             with suppress(ValueError):  # closed at this moment
                 self.sink.open(writer, self.side.codec.plan, self.side.plan.truncate, limit_ns)
 
     def close(self) -> None:
-        """Leave the object with its last state."""
+        """Close the object, which keeps its last state."""
         self.sink.close()
         super().close()
 
@@ -160,7 +160,7 @@ class PortToPlc(ChannelPort[Writer]):
         return self.user is not None
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
-        """Convert a message straight into its slot."""
+        """Convert a message directly into its slot."""
         writer, side = self.user, self.side
         if writer is None:
             side.counters.lost += 1
@@ -198,12 +198,12 @@ class PortToPlc(ChannelPort[Writer]):
         return bool(tasks)
 
     def tell(self, matched: int) -> None:
-        """Show the PLC how many publishers there are."""
+        """Show the PLC the number of publishers."""
         if (writer := self.user) is not None:
             writer.set_sources(matched)
 
     def loss(self, count: int) -> str:
-        """Describe why messages were lost, and what helps."""
+        """Describe why messages were lost, and the remedy."""
         return f"{count} messages from ROS were lost; raise qos: {{depth: …}} if messages arrive in bursts"
 
 
@@ -228,17 +228,17 @@ class PortToRos(ChannelPort[Reader]):
         return reader
 
     def close(self) -> None:
-        """Leave the object with its last state."""
+        """Close the object, which keeps its last state."""
         self._lost_before += 0 if self.user is None else self.user.lost
         super().close()
 
     def owned(self) -> bool:
-        """Return whether the line is still this reader's: another bridge's claim is seen at once."""
+        """Return whether this reader still holds its line: another bridge's claim is detected immediately."""
         reader = self.user
         return reader is not None and reader.line is not None
 
     def retained(self) -> tuple[bytes, int, int] | None:
-        """Return the message that the object holds if an earlier bridge has taken it."""
+        """Return the message in the object if an earlier bridge has taken it."""
         if not self._retained or self.user is None:
             return None
         found = self.user.peek_wire(self.side.codec.plan)
@@ -257,19 +257,19 @@ class PortToRos(ChannelPort[Reader]):
         return quiet and (epoch == self._lived if runs is None else runs)
 
     def tell(self, matched: int) -> None:
-        """Show the PLC how many subscribers there are."""
+        """Show the PLC the number of subscribers."""
         if (reader := self.user) is not None:
             reader.set_sinks(matched)
 
     def status(self, now_ns: int) -> PortStatus:
-        """Return what is known of the PLC."""
+        """Return the known state of the PLC."""
         reader = self.user
         lost = self._lost_before + (0 if reader is None else reader.lost)
         every = self.side.plan.every
         return self._status(now_ns, lost if every else 0, 0 if every else lost)
 
     def loss(self, count: int) -> str:
-        """Describe why messages were lost; those of the time without a bridge are told apart, once."""
+        """Describe why messages were lost; losses while no bridge was running are listed separately, once."""
         missed, self._missed = min(self._missed, count), 0
         slots = self.side.plan.slots
         lost = f"{count - missed} messages from the PLC were lost; raise slots: (now {slots})"
@@ -280,7 +280,7 @@ class PortToRos(ChannelPort[Reader]):
 
 
 class ChannelsToPlc(Waiting[PortToPlc]):
-    """The channels that the bridge writes: who has a message writes it at once, and nothing is polled."""
+    """The channels that the bridge writes: messages are written immediately, and nothing is polled."""
 
     def make(self, side: Stream) -> PortToPlc:
         """Return the port of a stream."""
@@ -288,7 +288,7 @@ class ChannelsToPlc(Waiting[PortToPlc]):
 
 
 class Grouped(Ports[_P]):
-    """Ports whose messages are looked for with one native call per tick."""
+    """Ports that are polled for messages with one native call per tick."""
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
@@ -298,7 +298,7 @@ class Grouped(Ports[_P]):
         self._ports: dict[int, _P] = {}  # by the numbers of their readers in the group
 
     def remove(self, port: _P) -> None:
-        """Look no more."""
+        """Stop polling a port."""
         for index in [index for index, known in self._ports.items() if known is port]:
             self._group.remove(index)
             del self._ports[index]
@@ -322,7 +322,7 @@ class ChannelsToRos(Grouped[PortToRos]):
         return PortToRos(side, self._context)
 
     def add(self, port: PortToRos) -> None:
-        """Look for messages of an open port."""
+        """Poll an open port for messages."""
         if port.user is not None:
             plan = port.side.plan
             mode = _IN_ORDER if plan.every else 0
@@ -332,19 +332,19 @@ class ChannelsToRos(Grouped[PortToRos]):
                 self._group.divert(index, port.sink.capsule)
 
     def poll(self, due_ns: int | None) -> None:
-        """Sleep until there is news, looked for at each tick; after a quiet time, in each scan of the PLC."""
+        """Sleep until a poll finds something new: one per tick, or after a quiet time one per PLC scan."""
         now = self._now()
         if self._wait(self.tick(now), _LONGEST_WAIT_NS, due_ns, (now > self._alert_until_ns) * LAZY_TICK_NS):
             self._alert_until_ns = self._now() + _ALERT_NS
 
     def tick(self, now_ns: int) -> int:
-        """Return the time between two looks: longer while no PLC writes."""
+        """Return the time between two polls: longer while no PLC writes."""
         if now_ns < self._alert_until_ns or any(port.peer_alive for port in self._ports.values()):
             return self._tick_ns
         return max(self._tick_ns, LAZY_TICK_NS if self._ports else _LONGEST_WAIT_NS)
 
     def take(self, now_ns: int) -> tuple[int | None, list[PortToRos]]:
-        """Take what is new from all channels in one call, and pass it on."""
+        """Take all new messages from all channels in one call, and forward them."""
         messages, faults = self._group.take()
         ports = self._ports
         for index, data, _sequence, flags, stamp_ns, stamp_clock in messages:

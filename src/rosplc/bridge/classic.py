@@ -1,6 +1,6 @@
 """Ports over classic memory, a bare record guarded by a named semaphore: spec/classic-mode.md.
 
-One thread per direction serves all and never waits for a lock: it tries a taken one again, delaying no other.
+One thread per direction serves all ports. It never waits for a lock, but tries again later.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ LOOK_NS = 50_000_000  # how often names and lock are looked at while nothing els
 _AGAIN_NS = 100_000  # time between two attempts within ``wait``
 _PERIOD_NS = 1_000_000  # time between two attempts to write once ``wait`` is over
 _RETURN_NS = 10_000_000_000
-"""How long after a recovery the lock is looked at often: a holder that was only slow leaves it again."""
+"""Time after a recovery in which the lock is checked often: a holder that was only slow releases it again."""
 _SETTLING_NS = 300_000_000
-"""How long objects may be half made before that is a problem: their makers make them in steps."""
+"""How long objects may be incomplete before this is a problem: programs create them in several steps."""
 _LAZY_POLL_NS = 10_000_000
 _ALERT_NS = 10_000_000_000
 
 
 class ClassicPort(Port):
-    """The memory of a classic stream with its lock, used by one thread; nothing in it can beat or tell."""
+    """The memory and lock of a classic stream, used by one thread; neither has a heartbeat."""
 
     adopted = True  # other programs use the memory too: it is never retired
 
@@ -67,21 +67,21 @@ class ClassicPort(Port):
 
     @property
     def attached(self) -> bool:
-        """Whether there is an object to carry to or from."""
+        """Whether an object is attached."""
         return self._object.memory is not None
 
     def open(self) -> None:
-        """Keep other bridges away, and attach if that is possible already.
+        """Keep other bridges away, and attach if this is already possible.
 
-        Raises ChannelError SHM116 if another bridge has the memory, or whatever keeps a lock file from being
-        made. That the memory itself cannot be used is a problem of the stream alone.
+        Raises ChannelError SHM116 if another bridge has the memory, or the error of making the lock file. If
+        the memory itself cannot be used, only this stream is affected.
         """
         self._object.claim()
         self._attach(self._clock.monotonic_ns())
         self._attached()
 
     def close(self) -> None:
-        """Leave memory and semaphore with their last state."""
+        """Close memory and semaphore, which keep their last state."""
         self._object.close()
 
     def owned(self) -> bool:
@@ -89,7 +89,7 @@ class ClassicPort(Port):
         return self._object.owned()
 
     def turn(self, now_ns: int) -> int:
-        """Do what is due; return when the next turn is wanted."""
+        """Do what is due; return when the next turn is due."""
         try:
             return self._turn(now_ns)
         except (ChannelError, OSError, ValueError) as error:
@@ -97,7 +97,7 @@ class ClassicPort(Port):
             return self._next_ns(now_ns)
 
     def status(self, now_ns: int) -> PortStatus:
-        """Return what can be known of memory and lock: there is no beat in them."""
+        """Return what is known about the memory and lock, which have no heartbeat."""
         memory, lock = self._object.memory, self._object.lock
         held = lock.held_since_ns if lock is not None else None
         classic = ClassicStatus(
@@ -114,14 +114,14 @@ class ClassicPort(Port):
 
     @abstractmethod
     def _turn(self, now_ns: int) -> int:
-        """As :meth:`turn`; errors let go of the object."""
+        """As :meth:`turn`; an error detaches the object."""
 
     @abstractmethod
     def _attached(self) -> None:
-        """Another object has been attached, or a lock."""
+        """React to a newly attached object or lock."""
 
     def _tend(self, now_ns: int) -> bool:
-        """Attach, follow a replacement, judge the lock; return whether it was freed for a dead holder."""
+        """Attach, follow a replacement, and check the lock; return whether it was freed for a dead holder."""
         if not self.attached:
             if now_ns >= self._retry_ns and self._attach(now_ns):
                 self._attached()
@@ -137,7 +137,7 @@ class ClassicPort(Port):
         return entry is Entry.RECOVERED
 
     def _follow(self, now_ns: int) -> None:
-        """Attach to what the names lead to now."""
+        """Attach to the objects that the names refer to now."""
         lock = self._object.lock
         self._abandoned = lock is not None and lock.value == 0
         log.info("%s: memory %s or its semaphore was replaced", self.side.plan.topic, self._classic.name)
@@ -145,7 +145,7 @@ class ClassicPort(Port):
             self._attached()
 
     def _fail(self, now_ns: int, error: ChannelError | OSError | ValueError) -> None:
-        """Let go of an object that cannot be used, and try again in a moment."""
+        """Detach an object that cannot be used, and try again in a moment."""
         self._object.detach()
         self._retry_ns = now_ns + LOOK_NS
         if self._failing_since_ns is None:
@@ -170,14 +170,14 @@ class ClassicPort(Port):
         return entry
 
     def _again_ns(self, now_ns: int, period_ns: int) -> int:
-        """Return when to try the lock again: soon within ``wait``, then with the period."""
+        """Return when to try the lock again: soon within ``wait``, then once per period."""
         # Never in step with a PLC's cycle: looks that always fall into its turn would see a dead holder.
         if self._trying_since_ns is not None and self._trying_since_ns < 0:
             return now_ns + period_ns // 2 + random.randrange(period_ns)
         return now_ns + _AGAIN_NS // 2 + random.randrange(_AGAIN_NS)
 
     def _next_ns(self, now_ns: int) -> int:
-        """Return when :meth:`_tend` wants to be called again."""
+        """Return when :meth:`_tend` is due again."""
         if not self.attached:
             return self._retry_ns
         lock = self._object.lock
@@ -208,7 +208,7 @@ class ClassicPort(Port):
             self.side.note(now_ns, words, "SHM130")
         made = [kind for kind, thing in (("memory", memory), ("semaphore", lock)) if thing and thing.created]
         level = logging.INFO if self._object.attachments == 1 else logging.DEBUG
-        how = f"{' and '.join(made)} created here" if made else "created by the other side"
+        how = f"{' and '.join(made)} created by the bridge" if made else "created by the other side"
         log.log(level, "%s: attached to %s (%s)", self.side.plan.topic, self._classic.name, how)
         return True
 
@@ -223,7 +223,7 @@ class ClassicPort(Port):
             self.side.note(now_ns, words, "SHM131")
         if self._object.mended > self._mended:
             self._mended = self._object.mended
-            words = f"semaphore {self._classic.semaphore} had a value above 1, which was corrected"
+            words = f"the value of semaphore {self._classic.semaphore} was above 1 and has been corrected"
             self.side.note(now_ns, words, "SHM132")
 
 
@@ -240,7 +240,7 @@ class _Ready:
 
 
 class ClassicToPlc(ClassicPort):
-    """A memory that the bridge writes: the newest message, under the lock."""
+    """A memory to which the bridge writes the newest message while it holds the lock."""
 
     def __init__(self, side: Stream, context: Context, ports: ClassicPorts) -> None:
         super().__init__(side, context)
@@ -253,7 +253,7 @@ class ClassicToPlc(ClassicPort):
         self._try_at_ns = 0
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
-        """Have a message written soon; the newest alone waits."""
+        """Store a message to be written soon; only the newest message waits."""
         with self._pending_lock:
             if self._pending is not None:
                 self._superseded()
@@ -280,7 +280,7 @@ class ClassicToPlc(ClassicPort):
         self._late = True
 
     def _fetch(self, now_ns: int) -> bool:
-        """Convert the newest message before the lock is taken; return whether something is to be written."""
+        """Convert the newest message before taking the lock; return whether there is anything to write."""
         with self._pending_lock:
             data, self._pending = self._pending, None
         if data is None:
@@ -336,7 +336,7 @@ class ClassicToPlc(ClassicPort):
 
 
 class ClassicToRos(ClassicPort):
-    """A memory that the bridge reads: a changed image is a message."""
+    """A memory that the bridge reads: a changed record is a message."""
 
     def __init__(self, side: Stream, context: Context) -> None:
         super().__init__(side, context)
@@ -397,7 +397,7 @@ class ClassicToRos(ClassicPort):
         self.side.receive(self.side.codec.encode(image), 0, 0, 0)
 
     def _attached(self) -> None:
-        """Know nothing of another object, but that a new one began with zeros."""
+        """Forget the previous object's content; a newly created object starts with zeros."""
         self._poll_at_ns = 0
         if not self._same:
             self._image = bytes(self.side.plan.layout.size) if self._fresh else None
@@ -406,7 +406,7 @@ class ClassicToRos(ClassicPort):
             self._distrust()  # the semaphore may have been replaced for one that died inside the old
 
     def _distrust(self) -> None:
-        """Take what is there now for read: its writer may have died half-way; the next change counts."""
+        """Treat the content as read: its writer may have died while writing. The next change counts."""
         image = self._object.peek()
         if self._image is not None and image != self._image:
             self.side.counters.lost += 1
@@ -435,11 +435,11 @@ class ClassicPorts(Waiting[ClassicPort]):
         return ClassicToRos(side, self._context)
 
     def add(self, port: ClassicPort) -> None:
-        """Serve an open port."""
+        """Start to serve an open port."""
         self._ports.append(port)
 
     def remove(self, port: ClassicPort) -> None:
-        """Serve it no more."""
+        """Stop serving the port."""
         if port in self._ports:
             self._ports.remove(port)
 

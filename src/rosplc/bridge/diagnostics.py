@@ -1,4 +1,4 @@
-"""What the bridge publishes on ``/diagnostics``: a status for itself, each topic, service and action."""
+"""Publishes the bridge's ``/diagnostics``: the status of the bridge and of each topic, service and action."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Diagnostics:
         self._packed: dict[int, tuple[_Told, int, bytes]] = {}  # by place: of what, its level, the rest
 
     def publish(self, status: BridgeStatus) -> None:
-        """Send the status, in as many messages as it takes. Raises RosplcError: The middleware refused."""
+        """Send the status in as many messages as needed. Raises RosplcError if the middleware refuses."""
         now = self._clock.time_ns()
         header = {"stamp": fields.time(now)}
         before = fields.pack(self._store, TYPE, {"header": header})[:-4]  # without the number of statuses
@@ -54,12 +54,12 @@ class Diagnostics:
             self._publisher.write(bytes(message), now)
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Close the publisher."""
         self._publisher.close()
 
 
 def diagnostic_status(told: _Told, bridge: str) -> dict[str, Any]:
-    """Return one status of a bridge's: DiagnosticStatus' fields, ``values`` as a mapping."""
+    """Return one of a bridge's statuses as the fields of DiagnosticStatus; ``values`` is a mapping."""
     name, (level, message) = f"rosplc: {bridge}", told.judgement
     if isinstance(told, BridgeStatus):
         values = {
@@ -78,7 +78,7 @@ def diagnostic_status(told: _Told, bridge: str) -> dict[str, Any]:
 
 
 def _rest(entry: dict[str, Any], *, cdr: bool) -> bytes:
-    """Return an entry as the message has it behind its level, in CDR from a boundary of 4 bytes on."""
+    """Return the part of an entry that follows its level; in CDR, it starts at a 4-byte boundary."""
     # fields.pack() writes the same bytes in ten times the time, and each active topic changes each second.
     first = [_text(entry[key], cdr) for key in ("name", "message", "hardware_id")]
     values = [_text(text, cdr) for pair in entry["values"].items() for text in pair]
@@ -88,7 +88,7 @@ def _rest(entry: dict[str, Any], *, cdr: bool) -> bytes:
 
 @lru_cache(4096)
 def _text(text: str, cdr: bool) -> bytes:
-    """Return a text, cut between characters and without NUL; in CDR up to the next boundary of 4 bytes."""
+    """Return a text, cut between characters and without NUL; in CDR, padded to the next 4-byte boundary."""
     data = text.replace("\0", " ").encode()[:_TEXT].decode(errors="ignore").encode() + b"\0" * cdr
     return struct.pack("<I", len(data)) + data + (bytes(-len(data) % 4) if cdr else b"")
 

@@ -1,8 +1,8 @@
-"""The running bridge: opens everything or nothing, carries, looks after itself, leaves cleanly.
+"""The running bridge: opens everything or nothing, carries messages, monitors itself, and stops cleanly.
 
-Threads: the backend's own call :class:`~rosplc.bridge.stream.ToPlc`; one carrier for each kind of port and
-direction serves the ports; the heartbeat's looks after the objects too; the reporter's asks the ROS side and
-publishes diagnostics. An error in one topic stops no other, and a ROS side that hangs stops no beat.
+Threads: the backend's threads call :class:`~rosplc.bridge.stream.ToPlc`; one carrier per kind of port and
+direction serves the ports; the heartbeat thread also checks the objects; the reporter queries the ROS side
+and publishes diagnostics. An error in one topic stops no other topic. A hanging ROS side stops no heartbeat.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _STUCK_NS = 5_000_000_000
 _JUST_NOW_NS = 100_000_000
 _APPLY = "run `rosplc reload` or restart the bridge to apply it"
 _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
-"""Something of a stranger's is at an object's name: that topic is not carried, and looked at again later."""
+"""A foreign file has an object's name: the topic is not carried and is checked again later."""
 
 
 class Bridge:
     """A bridge between ROS and the objects of one prefix; a context manager that starts and stops it.
 
-    ``backend`` is the ROS side; by default the configuration's is opened, with ``arguments`` of the command
-    line, and closed again at the end. Raises ConfigErrors if the configuration is wrong.
+    ``backend`` is the ROS side. By default, the configured backend is opened, with the command line's
+    ``arguments``, and closed at the end. Raises ConfigErrors if the configuration is invalid.
     """
 
     def __init__(
@@ -85,10 +85,10 @@ class Bridge:
         self._config_changed = False
 
     def start(self) -> None:
-        """Take the names, open objects and ROS, and begin to carry.
+        """Lock the names, open the objects and ROS, and start to carry messages.
 
-        Raises RosplcError if something is in the way (SHM116: another bridge holds a name; SHM117: no room;
-        ROS001 …); everything opened is closed again, and nothing was replaced if a name was taken.
+        Raises RosplcError if this is not possible (SHM116: another bridge holds a name; SHM117: no room;
+        ROS001 …). Then everything is closed again; if a name was taken, nothing has been replaced.
         """
         if self._started_ns:
             raise RuntimeError("this bridge has already been started")
@@ -121,8 +121,8 @@ class Bridge:
             clock=self._clock,
         )
         beats = [
-            Duty("beating", settings.beat_ns, context.beat),
-            Duty("checking", _CHECK_NS, lambda: self.check(self._clock.monotonic_ns())),
+            Duty("sending heartbeats", settings.beat_ns, context.beat),
+            Duty("checking the objects", _CHECK_NS, lambda: self.check(self._clock.monotonic_ns())),
         ]
         check_names(self.project)
         if self.backend is None:
@@ -130,7 +130,7 @@ class Bridge:
             stack.callback(self._close_backend)
         self._warnings += getattr(self.backend, "warnings", ())
         self._check_types(self.backend)
-        duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
+        duties = [Duty("checking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
         seen = partial(self.status, _JUST_NOW_NS)
         own = self._own = OwnTopics(
             self.project, self._ros, self.backend, seen, self._clock, stack, owned=self._owns_backend
@@ -163,7 +163,7 @@ class Bridge:
         stack.callback(reporter.stop)
 
     def _check_types(self, backend: Backend) -> None:
-        """Have a backend that can tell find out whether it carries all types. Raises as the backend does."""
+        """Check that the backend can carry all types, if it has such a check. Raises as the backend does."""
         if (check := getattr(backend, "check", None)) is None:
             return
         topics = [plan for plan in self.project.topics if plan.own in ("", "pose")]
@@ -200,7 +200,7 @@ class Bridge:
             stream.disconnect()
 
     def stop(self) -> None:
-        """Stop carrying; objects stay, with their last state, for the PLC and the next bridge."""
+        """Stop carrying messages; the objects keep their last state for the PLC and the next bridge."""
         was_running, self._started_ns = bool(self._started_ns), 0
         self._open.close()
         self._open = ExitStack()
@@ -209,16 +209,16 @@ class Bridge:
             log.info("bridge %s stopped", self.settings.bridge)
 
     def reload(self, config: Config | Project | None = None) -> Changes:
-        """Carry another configuration from now on (None: its file, read again): all of it, or nothing of it.
+        """Apply another configuration (None: the file, read again), completely or not at all.
 
-        Topics that are the same in both are not disturbed. An object that can stay as it is stays; one with
-        another layout replaces the old, which is retired, as is that of a removed topic. A changed topic's
-        counters begin again. Raises ConfigErrors if the configuration is wrong or a key differs that cannot
-        change while the bridge runs (CFG012), RosplcError if something is in the way (SHM116, SHM117, ROS002
-        …), and RuntimeError if the bridge is not started or there is no file to read.
+        Topics that are the same in both are not disturbed. Objects are kept where possible. If a layout
+        changed, a new object replaces the old one, which is retired, as is the object of a removed topic. The
+        counters of a changed topic restart. Raises ConfigErrors if the configuration is wrong or changes keys
+        that cannot change at run time (CFG012), RosplcError if it cannot be applied (SHM116, SHM117, ROS002
+        …), and RuntimeError if the bridge has not been started or there is no file to read.
         """
         if not self._started_ns or self.backend is None or self._carriers is None:
-            raise RuntimeError("this bridge is not started")
+            raise RuntimeError("this bridge has not been started")
         path = self.config.path
         if config is None and path is None:
             raise RuntimeError("this configuration was not read from a file")
@@ -258,7 +258,7 @@ class Bridge:
         self.project, self.config, self.settings = project, project.config, project.config.settings
 
     def run(self, stop: threading.Event) -> None:
-        """Start, carry until ``stop`` is set, and stop. Raises RosplcError: As :meth:`start`."""
+        """Start, carry messages until ``stop`` is set, and stop. Raises RosplcError as :meth:`start`."""
         self.start()
         try:
             stop.wait()
@@ -273,7 +273,7 @@ class Bridge:
         self.stop()
 
     def status(self, within_ns: int = 0) -> BridgeStatus:
-        """Return how bridge and topics stand; topics as they were seen within a time, if they were."""
+        """Return the state of the bridge and its topics; the topics' states may be ``within_ns`` old."""
         now = self._clock.monotonic_ns()
         notes = list(self._warnings)
         if self._config_changed:
@@ -302,7 +302,7 @@ class Bridge:
         )
 
     def stuck(self, longest_ns: int) -> str:
-        """Return what has hung for ``longest_ns``, several seconds, of what carries and beats; else empty."""
+        """Return which thread for messages or heartbeats has hung for ``longest_ns``, seconds; or empty."""
         carriers, heartbeat, now = self._carriers, self._heartbeat, self._clock.monotonic_ns()
         if not self._started_ns or carriers is None or heartbeat is None:
             return "the bridge has not been started"
@@ -316,7 +316,7 @@ class Bridge:
     # -- the work of heartbeat and reporter, on their threads
 
     def check(self, now_ns: int) -> None:
-        """Look after objects, peers and the configuration's file."""
+        """Check the objects, the PLC and the configuration file."""
         self._realtime.tidy()
         if self._changing.acquire(blocking=False):  # a reload may wait for ROS, and beats must not
             try:
@@ -340,11 +340,11 @@ class Bridge:
             self._config_changed = True
 
     def ask(self, now_ns: int) -> None:
-        """Ask the ROS side how each topic stands; this may hang when it does."""
+        """Query the ROS side for the state of each topic; this hangs if the ROS side hangs."""
         news = getattr(self.backend, "changed", lambda: None)()
         self._asked += 1
         for place, stream in enumerate((*self._streams, *self._leaving), self._asked):
-            if news is not None and place % STILL_TURNS and stream.still and not (news and stream.concerns(news)):
+            if place % STILL_TURNS and stream.still and news is not None and not stream.concerns(news):
                 continue
             try:
                 stream.ask(now_ns)
@@ -370,4 +370,4 @@ class Bridge:
 
 def _first_line(error: Exception) -> str:
     lines = str(error).splitlines() or [type(error).__name__]
-    return lines[0] + (f" (and {len(lines) - 1} more)" if len(lines) > 1 else "")
+    return lines[0] + (f" (and {len(lines) - 1} more lines)" if len(lines) > 1 else "")

@@ -1,7 +1,7 @@
-"""What may hold a message back on its way: one pipeline of stages, and one clock of the source's silence.
+"""A pipeline of stages that can hold messages back, and the detection of a silent source.
 
-A message passes the stages in order. A stage lets it through, drops it, or keeps it until a time
-(``due_ns``); what it kept continues from the next stage on when it is flushed.
+A message passes through the stages in order. A stage lets it through, drops it, or keeps it until a time
+(``due_ns``). When a kept message is flushed, it continues with the next stage.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _RETRY_NS = 500_000_000
 
 
 class Silence:
-    """Since when a source has been silent, and whether that is to be reported."""
+    """How long a source has been silent, and whether its silence is to be reported."""
 
     def __init__(self, limit_ns: int, debounce_ns: int, now_ns: int) -> None:
         self.last_ns: int | None = None
@@ -29,7 +29,7 @@ class Silence:
         self._settled_ns = 0  # when a silence that was reported counts as over
 
     def heard(self, now_ns: int) -> bool:
-        """Note that a message came in; return whether its source was stale before it."""
+        """Note that a message arrived; return whether the source was stale before."""
         gap, limit = now_ns - self._since_ns, self._limit_ns
         self.last_ns = self._since_ns = now_ns
         if not limit or gap <= limit:
@@ -39,17 +39,17 @@ class Silence:
         return True
 
     def passed(self, last_ns: int) -> None:
-        """Note when the last message came in that no :meth:`heard` told of; each was within the limit."""
+        """Note the time of the last message that bypassed :meth:`heard`; all were within the limit."""
         if self.last_ns is not None and last_ns > self.last_ns:
             self.last_ns = self._since_ns = last_ns
 
     def excuse(self, now_ns: int) -> None:
-        """Expect the source to send from now on only: somebody else has heard it meanwhile."""
+        """Restart the time limit: until now, another bridge received the source's messages."""
         self._since_ns = now_ns
 
     @property
     def due_ns(self) -> int:
-        """When the source becomes stale if no message comes before."""
+        """The time at which the source becomes stale if no message arrives."""
         return self._since_ns + self._limit_ns
 
     def stale(self, now_ns: int) -> bool:
@@ -57,7 +57,7 @@ class Silence:
         return bool(self._limit_ns) and now_ns > self.due_ns
 
     def reported(self, now_ns: int) -> bool:
-        """Return the same as it is reported: debounced."""
+        """Return the same, debounced, as it is reported."""
         late = now_ns > self.due_ns + self._debounce_ns
         return bool(self._limit_ns) and (late or now_ns < self._settled_ns)
 
@@ -67,7 +67,7 @@ class Silence:
 
 
 class Stage:
-    """One reason to hold messages back; this one lets all through."""
+    """One reason to hold messages back; the base class lets all messages through."""
 
     due_ns: int | None = None  # when :meth:`flush` wants to be called; None if nothing waits
     skipped = 0  # messages that were held back for good, on purpose
@@ -75,19 +75,19 @@ class Stage:
     clears = False  # whether everything else is sent before its own time
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
-        """Take a message; return what may continue now."""
+        """Accept a message; return the messages that may continue now."""
         return (item,)
 
     def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
-        """Return what waited and may continue now, or with ``anyway`` all of it."""
+        """Return the waiting messages that may continue now; with ``anyway``, all of them."""
         return ()
 
     def forget(self) -> None:
-        """The receiver does not have the last message."""
+        """Note that the receiver does not have the last message."""
 
 
 class Hold:
-    """The stages of one stream, in their order; ``send`` takes what passed them all. From any thread."""
+    """The stages of one stream, in order; ``send`` gets what has passed all of them. Thread-safe."""
 
     def __init__(self, stages: Sequence[Stage], send: Callable[[bytes, int, int], None]) -> None:
         self.stages = list(stages)
@@ -97,23 +97,23 @@ class Hold:
 
     @property
     def due_ns(self) -> int | None:
-        """When :meth:`flush` is wanted; None if nothing waits."""
+        """When :meth:`flush` is due; None if nothing is waiting."""
         return min((stage.due_ns for stage in self.stages if stage.due_ns is not None), default=None)
 
     @property
     def skipped(self) -> int:
-        """Messages held back on purpose."""
+        """Number of messages that were held back intentionally."""
         return self._skipped + sum(stage.skipped for stage in self.stages)
 
     def offer(self, item: Item, now_ns: int) -> bool:
-        """Send a message, or hold it back; return whether something waits from now on."""
+        """Send a message, or hold it back; return whether a message is waiting now."""
         with self._lock:
             before = self.due_ns
             self._pass(0, [item], now_ns)
             return before is None and self.due_ns is not None
 
     def flush(self, now_ns: int, *, anyway: bool = False) -> None:
-        """Send what waited for its time, or with ``anyway`` all that waits."""
+        """Send the waiting messages that are due; with ``anyway``, all of them."""
         with self._lock:
             # What the PLC sent comes before what takes its place.
             anyway = anyway or any(stage.clears and (stage.due_ns or 0) <= now_ns for stage in self.stages)
@@ -131,20 +131,20 @@ class Hold:
             self._send(data, stamp_ns, now_ns)
 
     def forget(self) -> None:
-        """The receiver does not have the last message: the same again is news to it."""
+        """Note that the receiver does not have the last message: an identical message is new to it."""
         for stage in self.stages:
             stage.forget()
 
 
 class OnChange(Stage):
-    """Lets a message through if it differs from the one before by its key, or has none."""
+    """Lets a message through if its key differs from that of the previous message, or if it has no key."""
 
     def __init__(self, key: Callable[[bytes], bytes | None] = lambda data: data) -> None:
         self.last: bytes | None = None
         self._key = key
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
-        """Take a message; return it if it is news."""
+        """Accept a message; return it if it is new."""
         key = self._key(item[0])
         if key is not None:
             if key == self.last:
@@ -154,12 +154,12 @@ class OnChange(Stage):
         return (item,)
 
     def forget(self) -> None:
-        """The same message again is news."""
+        """Treat an identical message as new."""
         self.last = None
 
 
 class RateLimiter(Stage):
-    """Lets one message through per interval; in between the newest waits, and the last is never dropped."""
+    """Lets one message through per interval; the newest one waits, so the last is never dropped."""
 
     def __init__(self, interval_ns: int) -> None:
         self._interval_ns = interval_ns
@@ -167,7 +167,7 @@ class RateLimiter(Stage):
         self._waiting: Item | None = None
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
-        """Return the message if it may go now, else keep it."""
+        """Return the message if it may pass now; otherwise keep it."""
         if self._waiting is not None:
             self.skipped += 1
         if self._open_ns is None or now_ns >= self._open_ns:
@@ -178,7 +178,7 @@ class RateLimiter(Stage):
         return ()
 
     def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
-        """Return the message that waits, if its time has come."""
+        """Return the waiting message if it is due."""
         item = self._waiting
         if item is None or self.due_ns is None or (now_ns < self.due_ns and not anyway):
             return ()
@@ -188,10 +188,10 @@ class RateLimiter(Stage):
 
 
 class Grace(Stage):
-    """The first moment of a topic towards ROS: what comes before any subscriber is there waits, briefly.
+    """Holds back the first messages of a topic towards ROS for a moment, until a subscriber is connected.
 
-    A PLC writes while the bridge is down; the bridge starts and finds the message at once, but its
-    subscribers need some hundred milliseconds to find the bridge. A volatile one would miss the message.
+    If a PLC writes while the bridge is down, the bridge finds the message as soon as it starts, but
+    subscribers need a few hundred milliseconds to discover the bridge. A volatile one would miss the message.
     """
 
     def __init__(self, until_ns: int, most: int, matched: Callable[[], bool]) -> None:
@@ -202,7 +202,7 @@ class Grace(Stage):
         self._held: deque[Item] = deque()
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
-        """Keep a message; or return all, where the wait is over or no more may wait."""
+        """Keep a message; return all messages if the wait is over or no more messages may wait."""
         full = len(self._held) == self._most
         if (full and self._most > 1) or self._ends(now_ns):
             self.due_ns = now_ns  # to be left out
@@ -215,7 +215,7 @@ class Grace(Stage):
         return ()
 
     def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
-        """Return what waited, if it may go now or should go anyway."""
+        """Return the waiting messages if they may pass now, or with ``anyway``."""
         if not anyway and not self._ends(now_ns):
             self.due_ns = min(now_ns + _LOOK_NS, self._until_ns) if self._held else self._until_ns
             return ()
@@ -233,21 +233,21 @@ class Grace(Stage):
 
 
 class Unsent(Stage):
-    """Keeps one message that could not be sent, as on a node that is not active, and has it tried again."""
+    """Keeps one message that could not be sent, such as by an inactive node, for another attempt."""
 
     _item: Item | None = None
 
     def keep(self, item: Item, now_ns: int) -> None:
-        """Keep a message; :meth:`take` has returned the one before."""
+        """Keep a message; :meth:`take` has returned the previous one."""
         self._item, self.due_ns = item, now_ns + _RETRY_NS
 
     def take(self) -> Item | None:
-        """Return the message that waits, which is then kept no longer."""
+        """Remove and return the waiting message."""
         item, self._item, self.due_ns = self._item, None, None
         return item
 
     def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
-        """Return the message that waits, if its time has come."""
+        """Return the waiting message if it is due."""
         if self.due_ns is None or (now_ns < self.due_ns and not anyway):
             return ()
         item = self.take()
@@ -255,7 +255,7 @@ class Unsent(Stage):
 
 
 class Samples(Stage):
-    """Passes on a message that ``make`` returns, from a time on at a steady rate."""
+    """From a given time on, passes on messages from ``make`` at a steady rate."""
 
     def __init__(self, first_ns: int, period_ns: int, make: Callable[[int], Item]) -> None:
         self.due_ns: int = first_ns
@@ -271,7 +271,7 @@ class Samples(Stage):
 
 
 class Substitute(Stage):
-    """Publishes a message of the configuration's at a steady rate while the PLC is silent."""
+    """Publishes a configured message at a steady rate while the PLC is silent."""
 
     clears = True
 
@@ -295,7 +295,7 @@ class Substitute(Stage):
         return max(self._silence.due_ns, self._next_ns)
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
-        """The PLC has sent a message: substitutes end before it is published."""
+        """Accept a message from the PLC: substitutes end before it is published."""
         if self.active:
             self.active = False
             self._changed(False)

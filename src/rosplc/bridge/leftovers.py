@@ -1,4 +1,4 @@
-"""What a bridge does to names before it opens them: refuse at once, and end what it dropped."""
+"""What a bridge does before it opens objects: check that the names are free, and retire leftovers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Name = tuple[str, Part, str]  # an object: topic, service or action, what it ca
 
 
 def check_names(project: Project) -> None:
-    """Try every configured name's lock; SHM116, with nothing disturbed, if another process holds one."""
+    """Try the lock of every configured name; SHM116, with nothing changed, if another process holds one."""
     namespace, allowed = project.namespace, rights(project.config)
     for name in _objects(project):
         path = namespace.lock_path(*name)
@@ -37,7 +37,7 @@ def check_names(project: Project) -> None:
 
 
 class Leaving(CalledGoals):
-    """An action of ROS that left the configuration: a goal that the PLC has there is canceled."""
+    """A ROS action that was removed from the configuration: a goal of the PLC that is open is canceled."""
 
     def connect(self, backend: Backend) -> None:
         """Become the action's client if there is such a goal."""
@@ -50,7 +50,7 @@ class Leaving(CalledGoals):
             log.warning("the goal left open in action %s was not canceled: %s", self.plan.action, error)
 
     def ask(self, now_ns: int) -> None:
-        """Go on until the server has answered."""
+        """Continue until the server has answered."""
         if self._goals:
             self._hear(now_ns)
             self._ask(now_ns)
@@ -59,7 +59,7 @@ class Leaving(CalledGoals):
 
 
 def leaving(project: Project, context: Context) -> Iterator[Leaving]:
-    """Yield the actions of ROS that left the configuration, none of them connected."""
+    """Yield the ROS actions that were removed from the configuration, not connected."""
     store = project.store
     for said, _ in _leftovers(project):
         if (said.part, said.direction) != (Part.GOAL, Direction.TO_ROS):
@@ -76,20 +76,20 @@ def leaving(project: Project, context: Context) -> Iterator[Leaving]:
 
 
 def retire_leftovers(project: Project) -> None:
-    """Retire what left the configuration (spec, section 8.7)."""
+    """Retire the objects that were removed from the configuration (spec, section 8.7)."""
     given = rights(project.config)
     for said, identity in _leftovers(project):
         size, slots = identity.record_size, identity.slot_count
         try:
             OwnedChannel.open(project.namespace, said, record_size=size, slots=slots, rights=given).retire()
         except (ChannelError, OSError, ValueError) as error:
-            log.debug("%s is left alone: %s", said.topic, error)
+            log.debug("%s is left unchanged: %s", said.topic, error)
         else:
             log.info("%s is no longer configured; its %s object has been retired", said.topic, said.part.word)
 
 
 def _leftovers(project: Project) -> Iterator[tuple[Description, Identity]]:
-    """Yield what the objects that left the configuration say of themselves; not those of other bridges."""
+    """Yield the descriptions of objects removed from the configuration, except those of other bridges."""
     namespace = project.namespace
     kept = {namespace.object_name(*name) for name in _objects(project)}
     for name, _ in namespace.objects():
@@ -98,14 +98,14 @@ def _leftovers(project: Project) -> Iterator[tuple[Description, Identity]]:
                 said, identity = found.description, found.identity
             own = namespace.object_name(said.topic, said.part, said.client)
         except (ChannelError, OSError) as error:
-            log.debug("%s is left alone: %s", name, error)
+            log.debug("%s is left unchanged: %s", name, error)
             continue
         if name == own and name not in kept and said.bridge == project.config.settings.bridge:
             yield said, identity
 
 
 def _objects(project: Project) -> Iterator[_Name]:
-    """Yield the objects that a configuration has."""
+    """Yield the objects of a configuration."""
     for plan in project.plans:
         if isinstance(plan, CallPlan):
             yield from ((plan.called, part, plan.client) for part in plan.parts)
@@ -114,7 +114,7 @@ def _objects(project: Project) -> Iterator[_Name]:
 
 
 def _holder(project: Project, name: _Name, lock: Path) -> str:
-    """Describe who holds a name's lock, as far as the kernel and the object tell."""
+    """Describe the holder of a name's lock, as far as the kernel and the object show it."""
     held = holder(lock, held_files())
     try:
         with attach(project.namespace, name[0], part=name[1], client=name[2]) as found:

@@ -1,9 +1,9 @@
 """A bridge in the states of a ROS 2 managed node: unconfigured, inactive, active.
 
-* Configuring reads the file and opens the objects: a PLC attaches, and sees the bridge's beat.
-* Activating opens the topics: messages are carried, both ways.
-* Deactivating closes the topics: nothing is carried, the objects stay, with their last state.
-* Cleaning up lets go of the objects; they stay in shared memory for the next bridge.
+* Configuring reads the file and opens the objects: a PLC can attach and detects the bridge's heartbeat.
+* Activating opens the topics: messages are carried in both directions.
+* Deactivating closes the topics: nothing is carried, and the objects keep their last state.
+* Cleaning up closes the objects; they stay in shared memory for the next bridge.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _logger = logging.getLogger("rosplc.bridge")
 
 
 class ManagedBridge:
-    """Carries the topics of a configuration over a node that somebody else manages.
+    """Carries the topics of a configuration over a node that other code manages.
 
-    The methods are called one at a time, in the order that the states allow. ``connect`` makes the backend on
-    the node at each :meth:`configure`, with the configuration's types; ``check`` is given the backend and a
-    type's name, and raises if the type cannot be carried.
+    The methods are called one at a time, in the order that the states allow. ``connect`` creates the backend
+    on the node at each :meth:`configure`, with the configuration's types; ``check`` gets the backend and a
+    type name, and raises if the type cannot be carried.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class ManagedBridge:
         return self._lifecycle is not None and self._lifecycle.active
 
     def configure(self, path: Path | str) -> Project:
-        """Read a configuration, and open its objects; nothing stays open after a RosplcError."""
+        """Read a configuration and open its objects; after a RosplcError, nothing stays open."""
         self.cleanup()
         project = load_project(path)
         backend = self._connect(project.store)
@@ -69,23 +69,23 @@ class ManagedBridge:
         return project
 
     def activate(self) -> None:
-        """Begin to carry. Raises RosplcError: A topic cannot be opened; none is then."""
+        """Start to carry messages. Raises RosplcError if a topic cannot be opened; then no topic is open."""
         if self._lifecycle is None:
             raise RuntimeError("the bridge must be configured before it is activated")
         self._lifecycle.activate()
         _logger.info("the bridge is active")
 
     def deactivate(self) -> None:
-        """Stop carrying; the objects stay open."""
+        """Stop carrying messages; the objects stay open."""
         if self._lifecycle is not None:
             self._lifecycle.deactivate()
             _logger.info("the bridge is inactive")
 
     def cleanup(self) -> None:
-        """Let go of everything; harmless in every state."""
+        """Close everything; callable in every state."""
         self.project = self._lifecycle = self._bridge = None
         self._open.close()
 
     def status(self) -> BridgeStatus | None:
-        """Return how bridge and topics stand; None while it is not configured."""
+        """Return the state of the bridge and its topics; None while it is not configured."""
         return None if self._bridge is None else self._bridge.status()

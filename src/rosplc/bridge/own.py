@@ -1,4 +1,4 @@
-"""What a bridge itself has in ROS and for the PLC: its log, ROS time, parameters, diagnostics."""
+"""The bridge's own topics and services: log, ROS time, parameters and diagnostics."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class OwnTopics:
     """The bridge's own topics and services; ``stack`` closes them. Raises as the backend does, and CFG011.
 
     Attributes:
-        ends: By topic, what the stream of a topic between the bridge and the PLC has as its ROS side.
+        ends: By topic, the ROS side of the stream between the bridge and the PLC.
         beats: Duties of the heartbeat.
-        duties: Duties of the reporter, whose work may hang in the ROS side.
-        parameters: Those that are variables of the PLC, if there are any.
-        warnings: What people should know.
+        duties: Duties of the reporter, which may hang in the ROS side.
+        parameters: The parameters that are variables of the PLC, if any.
+        warnings: Warnings for the user.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class OwnTopics:
         if own_log or settings.rosout.plc:
             lines = rosout.Rosout(project, backend, clock)
             stack.callback(lines.leave)
-            self.duties.append(Duty("logging", rosout.PERIOD_NS, lines.send))
+            self.duties.append(Duty("sending the log", rosout.PERIOD_NS, lines.send))
             if settings.rosout.plc:
                 self.ends[rosout.TOPIC] = rosout.PlcLog(lines, project, clock)
             if own_log:
@@ -69,7 +69,7 @@ class OwnTopics:
             time = ros_time.RosTime(project, backend, clock, sim.value)
             sim = replace(sim, take=time.use)
             stack.callback(time.leave)
-            self.beats.append(Duty("telling the time", ros_time.PERIOD_NS, time.write))
+            self.beats.append(Duty("sending the time", ros_time.PERIOD_NS, time.write))
             self.ends[ros_time.TOPIC] = time
         serve: Any = partial(ParameterServer, backend, store, clock=clock)
         declared = [sim, *shown_parameters(ros.shown())]
@@ -91,10 +91,10 @@ class OwnTopics:
             diagnostics = Diagnostics(store, backend, clock)
             stack.callback(diagnostics.close)
             period = settings.diagnostics.period_ns
-            self.duties.append(Duty("reporting", period, lambda: diagnostics.publish(status()), period))
+            self.duties.append(Duty("diagnostics", period, lambda: diagnostics.publish(status()), period))
 
     def begin(self, streams: Iterable[Carried]) -> None:
-        """The streams are carried: give the PLC its first values."""
+        """Give the PLC its first values, after the streams have started."""
         if self.parameters is not None:
             found = (each for each in streams if isinstance(each, Stream) and each.plan.own == "parameters")
             self.parameters.begin(tuple(found))

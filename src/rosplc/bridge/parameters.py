@@ -1,7 +1,7 @@
 """Parameters of the bridge's node that are variables of the PLC.
 
-One set is under way at a time. It has the number that the PLC shows once all of its values are in place, and
-is refused when the PLC is not seen to live any more.
+One set of values is in progress at a time. The PLC shows the number of a set when all of its values are in
+place. A set is refused when the PLC no longer shows signs of life.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _log = logging.getLogger("rosplc.bridge")
 # For a set; a PLC is looked at each second, and seen to live when it has beaten between two looks.
 _PATIENCE_NS = {True: 10_000_000_000, False: 2_500_000_000}
 _NOT_RUNNING = "PLC is not running"
-_NOT_TAKEN = "the PLC is running, but did not take the value; was its code generated from this configuration?"
+_NOT_TAKEN = "the PLC did not accept the value; check that its code was generated from this configuration"
 
 
 @dataclass
 class _Set:
-    """Values that were asked for; ``number`` is 0 until the PLC has been given them."""
+    """Values that were requested; ``number`` is 0 until they have been sent to the PLC."""
 
     values: Mapping[str, Any]
     done: Done
@@ -39,7 +39,7 @@ class _Set:
 
 
 class PlcParameters(OwnEnd):
-    """The PLC's parameters; ``given`` replaces configured values, as from ``--params-file``."""
+    """The PLC's parameters; ``given`` overrides configured values, such as from ``--params-file``."""
 
     def __init__(
         self, plan: ParametersPlan, store: TypeStore, given: Mapping[str, Any], clock: Clock
@@ -54,14 +54,14 @@ class PlcParameters(OwnEnd):
         self._streams: Sequence[Stream] = ()  # of both topics, once they are carried
 
     def serve(self, make: Callable[..., Any], own: list[Parameter]) -> Any:
-        """Return the server that ``make`` makes of these and the node's own; raises as that does."""
+        """Return the server that ``make`` creates from these and the node's own; raises as ``make``."""
         with self._lock:
             self._server = make([*own, *self.plan.declared], self.apply)
             self._server.values.update(self.values)
             return self._server
 
     def begin(self, streams: Sequence[Stream]) -> None:
-        """Give a new object the values of the file."""
+        """Write the values of the configuration to a new object."""
         self._streams = streams
         if self.plan.initial == "file" and not self._streams[0].port.adopted:
             if self._server is not None:
@@ -71,7 +71,7 @@ class PlcParameters(OwnEnd):
             self._restore()
 
     def apply(self, values: Mapping[str, Any], done: Done) -> None:
-        """Have the PLC take values; see :data:`rosplc.ros.parameters.Apply`."""
+        """Set values in the PLC; see :data:`rosplc.ros.parameters.Apply`."""
         with self._lock:
             self._sets.append(_Set(values, done, self.clock.monotonic_ns()))
             self._next()
@@ -82,7 +82,7 @@ class PlcParameters(OwnEnd):
         return bool(self._streams) and all(stream.port.status(now).peer_alive for stream in self._streams)
 
     def _next(self) -> None:
-        """Give the PLC the set that is due, if it lives; the lock is held."""
+        """Send the next set to the PLC if the PLC is alive; the lock is held."""
         if self._sets and not self._sets[0].number and self._alive:
             due = self._sets[0]
             due.number = secrets.randbits(63) | 1  # no other set has it, of whatever bridge
@@ -94,12 +94,12 @@ class PlcParameters(OwnEnd):
         self.give(fields.pack(self.store, TYPE, {"number": number, "values": named}), self.clock.time_ns())
 
     def _restore(self) -> None:
-        """Have a PLC that begins without values take those that are known here."""
+        """Send the known values to a PLC that starts without values."""
         with self._lock:
             self._put(secrets.randbits(63) | 1, self.values)
 
     def write(self, payload: bytes, stamp_ns: int) -> bool:
-        """Take what holds in the PLC."""
+        """Accept the values that are in effect in the PLC."""
         found = fields.unpack(self.store, TYPE, payload)
         ended = None
         with self._lock:
@@ -123,7 +123,7 @@ class PlcParameters(OwnEnd):
         return True
 
     def check(self) -> None:
-        """Refuse what the PLC does not take, each second."""
+        """Refuse sets that the PLC does not accept; called once per second."""
         late, now_ns = [], self.clock.monotonic_ns()
         with self._lock:
             self._next()

@@ -1,8 +1,8 @@
-"""The PLC's side of a stream: what carrying asks of a transport, and what it offers to one.
+"""The PLC's side of a stream: the interface between the carriers and a transport.
 
-A transport is two classes: a :class:`Port` for one stream, and :class:`Ports` for all of a kind in one
-direction, which one thread polls and takes from with one call per tick. The shared-memory channel
-(:mod:`rosplc.bridge.channel`) and classic memory (:mod:`rosplc.bridge.classic`) are two of them.
+A transport has two classes: a :class:`Port` for one stream, and :class:`Ports` for all ports of one kind
+and direction, which one thread polls with one call per tick. There are two transports: the shared-memory
+channel (:mod:`rosplc.bridge.channel`) and classic memory (:mod:`rosplc.bridge.classic`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _MOST_KINDS = 1000
 
 
 class RepeatedWarnings:
-    """Logs the first warning of a kind, such as ``(topic, code)``, then one in ten seconds, with a count."""
+    """Logs the first warning of a kind, such as ``(topic, code)``; then one in ten seconds, with a count."""
 
     def __init__(self, logger: logging.Logger) -> None:
         self._logger = logger
@@ -52,7 +52,7 @@ class RepeatedWarnings:
 
 @dataclass(frozen=True)
 class Context:
-    """What the streams of one bridge have in common."""
+    """The data that all streams of one bridge share."""
 
     namespace: Namespace
     bridge: str
@@ -69,16 +69,16 @@ class Context:
 
     @property
     def beat_ms(self) -> int:
-        """The promised beat in milliseconds."""
+        """The promised heartbeat period in milliseconds."""
         return max(1, self.beat_ns // 1_000_000)
 
     def beat(self) -> None:
-        """Let what is open beat."""
+        """Send a heartbeat on all open lines."""
         beat(list(self.beating.values()))
 
 
 class Notes:
-    """What went wrong with a topic or service, for its status and the log."""
+    """The problems of a topic or service, for its status and the log."""
 
     def __init__(self, plan: Plan, context: Context) -> None:
         self.context = context
@@ -89,13 +89,13 @@ class Notes:
         self._reason: tuple[str, str, int] | None = None  # words, code, when
 
     def note(self, now_ns: int, words: str, code: str = "") -> None:
-        """Remember and log what went wrong."""
+        """Store and log a problem."""
         self._reason, self.still = (words, code, now_ns), False
         suffix = f" [{code}]" if code else ""
         self.context.warnings.warn((self._name, code), now_ns, f"{self._name}: {words}{suffix}")
 
     def fail(self, now_ns: int, error: Exception) -> None:
-        """Remember an error that keeps it from being carried until its object is opened again."""
+        """Store an error that stops the carrying until the object is opened again."""
         words, code = str(error) or type(error).__name__, ""
         if isinstance(error, RosplcError):
             words, code = error.what, error.code
@@ -103,11 +103,11 @@ class Notes:
         self.note(now_ns, words, code)
 
     def concerns(self, endpoints: Collection[Any]) -> bool:
-        """Return whether its endpoint is one of these."""
+        """Return whether the endpoint is one of these."""
         return bool(endpoints) and self._endpoint in endpoints
 
     def noted(self, now_ns: int, endpoint: EndpointStatus | None) -> dict[str, Any]:
-        """Return what a status says about it: the endpoint's trouble where there is none from here."""
+        """Return the status fields for problems: those noted here, otherwise the endpoint's."""
         reason, code, when = self._reason or ("", "", 0)
         recent = bool(reason) and now_ns - when < QUIET_NS
         if endpoint is not None and endpoint.code and not recent:
@@ -129,10 +129,10 @@ class Counters:
 
 
 class Port(Protocol):
-    """The PLC's side of one stream; what has a body is what a port does that does not say otherwise.
+    """The PLC's side of one stream; methods with a body are default implementations.
 
-    It tells its stream what comes of messages: :meth:`Stream.receive`, ``delivered``, ``refuse``, ``note``,
-    ``fail`` and ``renewed``.
+    A port reports to its stream with :meth:`Stream.receive`, ``delivered``, ``refuse``, ``note``, ``fail``
+    and ``renewed``.
     """
 
     adopted: bool  # whether :meth:`open` found an object and kept it; never asked before that
@@ -144,76 +144,76 @@ class Port(Protocol):
         """Create or adopt the object, and claim it; SHM116 if another bridge holds its name."""
 
     def close(self) -> None:
-        """Leave the object with its last state; harmless twice."""
+        """Close the object, which keeps its last state; a second call does nothing."""
 
     def retire(self) -> None:
-        """Give the object up, so that its users are told and its name is free; and close."""
+        """Retire and close the object: its users are notified, and its name becomes free."""
         self.close()
 
     def check(self, now_ns: int) -> bool:
-        """Look after object and peer each second. True: open it again; ChannelError: it is unusable."""
+        """Check object and PLC once per second; True: open the object again; ChannelError: unusable."""
         return not self.owned()
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
-        """Convert a message and give it to the PLC, now or soon; every outcome is told to the stream."""
+        """Convert a message and send it to the PLC, now or soon; every outcome is reported to the stream."""
         raise ChannelError("SHM110", "only the PLC can write to a to_ros channel", where=self.side.plan.topic)
 
     def open_sink(self, limit_ns: int) -> None:
-        """Let the sink take what comes next; a silence of more than ``limit_ns`` (0: any) closes it."""
+        """Open the sink for the next messages; a silence of more than ``limit_ns`` (0: any) closes it."""
         return
 
     def owned(self) -> bool:
-        """Return whether this bridge still is the one that carries the object; towards ROS."""
+        """Return whether this bridge still carries the object; used towards ROS."""
         return True
 
     def retained(self) -> tuple[bytes, int, int] | None:
-        """Return the PLC's last message, if an earlier bridge took it: bytes, stamp and its clock."""
+        """Return the PLC's last message if an earlier bridge took it: bytes, stamp and the stamp's clock."""
         return None
 
     def tell(self, matched: int) -> None:
-        """Show the PLC how many ROS peers there are."""
+        """Show the PLC the number of ROS endpoints."""
         return
 
     def loss(self, count: int) -> str:
-        """Describe why messages were lost, and what helps."""
+        """Describe why messages were lost, and the remedy."""
 
     def status(self, now_ns: int) -> PortStatus:
-        """Return what is known of the PLC; from any thread."""
+        """Return the known state of the PLC; callable from any thread."""
 
 
 _P = TypeVar("_P", bound=Port)
 
 
 class Ports(Protocol[_P]):
-    """All ports of one kind in one direction; except for :meth:`wake`, used by one thread at a time."""
+    """All ports of one kind in one direction; used by one thread at a time, except for :meth:`wake`."""
 
     def make(self, side: Stream) -> _P:
-        """Return the port of a stream; nothing is opened yet."""
+        """Return the port of a stream without opening anything."""
 
     def add(self, port: _P) -> None:
-        """Serve an open port from now on."""
+        """Start to serve an open port."""
         return
 
     def remove(self, port: _P) -> None:
-        """Serve a port no more; harmless if it is not served."""
+        """Stop serving a port; does nothing if it is not served."""
         return
 
     def poll(self, due_ns: int | None) -> None:
-        """Sleep until there is news, until a point in monotonic time, or until :meth:`wake`."""
+        """Sleep until something is new, until a point in monotonic time, or until :meth:`wake`."""
 
     def wake(self) -> None:
-        """Make :meth:`poll` return soon; from any thread."""
+        """Make :meth:`poll` return soon; callable from any thread."""
 
     def take(self, now_ns: int) -> tuple[int | None, list[_P]]:
-        """Take what is new from all ports, and pass it on; write what waits.
+        """Take new messages from all ports and forward them; write waiting messages.
 
-        Return when the next call is due at the latest (None: nothing waits), and the ports to open again.
+        Return when the next call is due at the latest (None: nothing waits), and which ports to open again.
         """
         return None, []
 
 
 class Waiting(Ports[_P]):
-    """Ports whose sleep nothing but time and :meth:`wake` ends."""
+    """Ports that are not polled: only time and :meth:`wake` end their sleep."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -228,5 +228,5 @@ class Waiting(Ports[_P]):
         self._event.clear()
 
     def wake(self) -> None:
-        """End the sleep; from any thread."""
+        """End the sleep; callable from any thread."""
         self._event.set()

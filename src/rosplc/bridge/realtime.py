@@ -1,8 +1,8 @@
 """Real-time settings of a bridge: priority and processors of its threads, locked memory, garbage collection.
 
-A thread inherits policy and processors from the one that starts it. So the thread that starts a bridge
-takes them itself, starts the backend, the carriers and the heartbeat, and puts them down again before it
-starts the reporter: whatever threads a middleware makes for itself are reached without knowing them.
+A thread inherits policy and processors from the thread that starts it. The thread that starts a bridge
+therefore applies the settings to itself, starts the backend, the carriers and the heartbeat, and restores
+its own settings before it starts the reporter. This also covers threads that a middleware starts itself.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ _FULL_COLLECTION_S = 60
 
 
 def contention(config: Config) -> list[str]:
-    """Return a sentence if the bridge's priority reaches into the PLC's, or beyond."""
+    """Return a warning if the bridge's priority is within the range of the PLC's priorities, or above it."""
     wanted = config.settings.realtime
     if wanted.policy != "fifo" or wanted.priority < LOWEST_TASK_PRIORITY:
         return []
     reach = "above" if wanted.priority > HIGHEST_TASK_PRIORITY else "within"
     return [
         f"realtime.priority {wanted.priority} is {reach} the range of CODESYS tasks (SCHED_FIFO "
-        f"{HIGHEST_TASK_PRIORITY} for IEC priority 0 to {LOWEST_TASK_PRIORITY} for 15): the bridge may "
+        f"{LOWEST_TASK_PRIORITY} to {HIGHEST_TASK_PRIORITY} for IEC priorities 15 to 0): the bridge may "
         f"delay the PLC's cycle; use a value below {LOWEST_TASK_PRIORITY}"
     ]
 
 
 class Realtime:
-    """The settings of one configuration, in force while it is entered.
+    """The settings of one configuration, in effect inside the ``with`` block.
 
-    The entering thread has priority and processors until :meth:`rest`, the process the others to the end.
+    Priority and processors apply to the entering thread until :meth:`rest`, the others to the process.
     """
 
     def __init__(self, config: Config) -> None:
@@ -53,7 +53,7 @@ class Realtime:
         self._since_full_s = 0
 
     def __enter__(self) -> Realtime:
-        """Take effect. Raises SetupError: SYS010 if the kernel does not allow it, with what would."""
+        """Apply the settings. Raises SetupError SYS010 with a remedy if the kernel does not allow them."""
         try:
             if self._wanted.lock_memory:
                 self._lock_memory()
@@ -67,7 +67,7 @@ class Realtime:
         self._undo()
 
     def rest(self) -> None:
-        """Give the calling thread back what it had: threads from now on are ordinary ones."""
+        """Restore the calling thread's settings: threads that it starts from now on are ordinary threads."""
         before, self._before = self._before, None
         if before is not None:
             policy, parameters, processors = before
@@ -76,7 +76,7 @@ class Realtime:
             os.sched_setaffinity(0, processors)
 
     def settled(self) -> None:
-        """Set the garbage collector, once everything that stays has been made."""
+        """Configure the garbage collector after all long-lived objects have been created."""
         if self._wanted.gc == "auto":
             return
         gc.collect()
@@ -86,7 +86,7 @@ class Realtime:
         self._tidies = self._wanted.gc == "off"
 
     def tidy(self) -> None:
-        """Collect young garbage in place of the collector that is off; to be called once a second."""
+        """Collect young garbage while the automatic collector is off; call this once per second."""
         # What was there at the start is frozen, so the full collection once a minute is short too.
         if not self._tidies:
             return
@@ -134,10 +134,10 @@ class Realtime:
             os.sched_setaffinity(0, processors)
             if os.sched_getaffinity(0) == processors:
                 return
-            what = f"this process may not use processors {', '.join(map(str, missing))}"
+            what = f"this process is not allowed to use processors {', '.join(map(str, missing))}"
         except (OSError, ValueError, OverflowError) as error:
             what = f"processors {missing or sorted(processors)} cannot be used: {error}"
-        remedy = f"This process may use: {', '.join(map(str, sorted(here)))}."
+        remedy = f"Allowed processors: {', '.join(map(str, sorted(here)))}."
         raise self._refused("affinity", what, remedy)
 
     def _lock_memory(self) -> None:

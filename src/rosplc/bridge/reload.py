@@ -1,4 +1,4 @@
-"""Another configuration in a running bridge: what changes, and the exchange of its streams."""
+"""Applying another configuration to a running bridge: what changes, and the exchange of streams."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rosplc.shm import Namespace
 
 @dataclass(frozen=True)
 class Changes:
-    """A new configuration's plans, beside those that are carried; of ``changed`` ones old and new."""
+    """The plans of a new configuration, compared with the carried ones; ``changed`` has pairs (old, new)."""
 
     added: tuple[Plan, ...] = ()
     removed: tuple[Plan, ...] = ()
@@ -39,7 +39,7 @@ class Changes:
 
 
 def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
-    """Return what changes; ``used`` are the definitions that the ROS side has been given, by type name.
+    """Return what changes; ``used`` has the definitions that the ROS side already uses, by type name.
 
     Raises ConfigErrors (CFG012) for keys that cannot change in a running bridge and for redefined types.
     """
@@ -61,7 +61,7 @@ def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
 def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
     source = new.config.source
     for path in _differing((), old.config.fixed, new.config.fixed):
-        what = f"it cannot change from {_written(old, path)} to {_written(new, path)}"
+        what = f"the value cannot change from {_written(old, path)} to {_written(new, path)}"
         problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
     if old.parameters != new.parameters and not problems:
         what = "the layout of the parameters in the PLC cannot change at run time"
@@ -101,10 +101,10 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
 
 @dataclass
 class Exchange:
-    """Carries other streams, never touching kept ones; after a failure ``running`` are those carried then.
+    """Exchanges streams without touching kept ones; after a failure, ``running`` has the restored streams.
 
-    All takes effect, or nothing does: new streams are opened beside those that run, and only when they are
-    open are the others let go of. What fails later is undone: the streams are opened again as before.
+    Everything takes effect, or nothing does: new streams are opened beside the running ones, which are
+    closed only after that. If a later step fails, the former streams are opened again.
     """
 
     changes: Changes
@@ -128,7 +128,7 @@ class Exchange:
         self._kept = tuple(stream for stream in self.running if stream.plan.name not in left)
 
     def run(self) -> tuple[Carried, ...]:
-        """Return the streams carried now; after RosplcError (SHM116, SHM117 …) the former ones are."""
+        """Return the streams carried now; after a RosplcError (SHM116, SHM117 …), the former ones are."""
         taken = {self._name(stream.plan) for stream in self._leaving}
         first = [plan for plan in self.changes.added if self._name(plan) not in taken]
         rest = [plan for plan in self.changes.added if self._name(plan) in taken]
@@ -170,13 +170,13 @@ class Exchange:
             raise BackendError("ROS018", "publishing to ROS is blocked")
 
     def _give_up(self, streams: Iterable[Carried]) -> None:
-        """End the calls in objects that no bridge will look at again."""
+        """End the calls in objects that no bridge will use again."""
         for stream in streams:
             if isinstance(stream, Use):
                 stream.give_up(self.clock.monotonic_ns())
 
     def _drop_new(self) -> None:
-        """Let go of what was opened; an object that this made is nobody's."""
+        """Close what was opened; retire an object that was created for it."""
         adopted = {stream for stream in self._new if stream.port.adopted}
         self._give_up(stream for stream in self._new if stream not in adopted)
         for stream in self._new:
@@ -187,7 +187,7 @@ class Exchange:
                 _retire(stream)
 
     def _restore(self, begun: tuple[Carried, ...]) -> None:
-        """Carry what was carried before, after something went wrong half-way."""
+        """Carry the former streams again after a failure."""
         self.carriers.replace(begun, ())
         self._drop_new()
         again = []

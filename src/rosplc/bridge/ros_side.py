@@ -1,4 +1,4 @@
-"""The way into ROS: backend, names, settings. Command line before configuration before environment."""
+"""The access to ROS: backend, names, settings. Precedence: command line, configuration, environment."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ log = logging.getLogger("rosplc.bridge")
 
 
 def choose_backend(config: Config, environment: Mapping[str, str] | None = None) -> Choice:
-    """Return the backend that the configuration leads to here; ROS001 if ``auto`` finds none."""
+    """Return the backend that this configuration selects on this machine; ROS001 if ``auto`` finds none."""
     ros = config.settings.ros
     if ros.backend != "auto":
         return Choice(ros.backend, "ros.backend selects it")
@@ -31,13 +31,13 @@ def choose_backend(config: Config, environment: Mapping[str, str] | None = None)
 
 @dataclass(frozen=True)
 class RosSide:
-    """A configuration together with the ROS arguments of a command line."""
+    """A configuration combined with the ROS arguments of a command line."""
 
     config: Config
     arguments: RosArguments = field(default_factory=RosArguments)
 
     def environment(self) -> dict[str, str]:
-        """Return the environment that holds for the backend."""
+        """Return the environment for the backend."""
         return {**os.environ, **self.arguments.environment}
 
     def names(self) -> tuple[str, str, dict[str, str]]:
@@ -69,7 +69,7 @@ class RosSide:
         return options
 
     def shown(self) -> dict[str, str | list[str]]:
-        """Return what the bridge's node shows as parameters, besides the version."""
+        """Return the values that the bridge's node shows as parameters, besides the version."""
         settings, path = self.config.settings, self.config.path
         shown: dict[str, str | list[str]] = {"bridge": settings.bridge, "topics": list(settings.topics)}
         if path is not None:
@@ -77,12 +77,12 @@ class RosSide:
         return shown if settings.ros.rclpy is None else shown | settings.ros.rclpy.parameters
 
     def given(self, declared: Iterable[Parameter]) -> dict[str, Any]:
-        """Return values of the command line for declared parameters; CFG011 if one does not fit."""
+        """Return the command line's values for declared parameters; CFG011 if one is not valid."""
         name, namespace, _ = self.names()
         return given_values(self.arguments.others, join(namespace, name), declared)
 
     def open(self, store: TypeStore | LiveTypes) -> tuple[Backend, Choice]:
-        """Join the graph; return the backend, and how it was chosen. Raises as ``open_backend``."""
+        """Join the ROS graph; return the backend and how it was chosen. Raises as ``open_backend``."""
         environment = self.environment()
         choice = choose_backend(self.config, environment)
         if self.config.settings.ros.backend == "auto":
@@ -103,20 +103,20 @@ class RosSide:
         return backend, choice
 
     def _without_effect(self) -> list[str]:
-        """Return the arguments for a client library that the bridge does not follow itself."""
+        """Return the arguments that only a ROS client library supports, and not the bridge."""
         others = iter(self.arguments.others)
         return [f"{name} {next(others, '')}" for name in others if name in ("-e", "--enclave")]
 
 
 class LiveTypes:
-    """What a backend has for a store of types, which can be exchanged meanwhile."""
+    """A type store for a backend whose content can be exchanged at run time."""
 
     def __init__(self, store: TypeStore) -> None:
         self.store = store  # where types are looked up
         self.used: dict[str, str] = {}  # definition by type name, of the types that a backend has been given
 
     def use(self, plans: Iterable[Plan]) -> None:
-        """Remember the definitions of the types of these topics and services."""
+        """Use the type definitions of these topics and services."""
         for layout in (layout for plan in plans for layout in plan.layouts):
             if layout.type_name not in self.used:
                 self.used[layout.type_name] = layout.store.definition_text(layout.type_name)

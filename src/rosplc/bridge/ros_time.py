@@ -1,4 +1,4 @@
-"""ROS time for the PLC's block ``RosPlc_Time``: the system's, or with ``use_sim_time`` that of ``/clock``."""
+"""ROS time for the PLC's block ``RosPlc_Time``: the system time, or ``/clock`` with ``use_sim_time``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RosTime(OwnEnd):
 
     @property
     def matched(self) -> int:  # type: ignore[override]
-        """The publishers of ``/clock``, or the system's clock."""
+        """Number of publishers of ``/clock``, or 1 for the system clock."""
         return 1 if self._source is None else self._source.matched
 
     def _on_clock(self, data: bytes, _stamp_ns: int) -> None:
@@ -45,7 +45,7 @@ class RosTime(OwnEnd):
             self.write()
 
     def write(self) -> None:
-        """Give the time to the PLC, unless it is not known yet."""
+        """Send the time to the PLC, if it is known."""
         with self._lock:
             before = self._written_ns = self._clock.monotonic_ns()
             now = self._sim_ns if self._sim else self._clock.time_ns()
@@ -56,7 +56,7 @@ class RosTime(OwnEnd):
                 self._took_ns = max(self._clock.monotonic_ns() - before, self._took_ns * 9 // 10)
 
     def use(self, sim: bool) -> None:
-        """Take the time from ``/clock`` or from the system's clock; raises as the class."""
+        """Use the time from ``/clock`` or the system clock; raises as the class."""
         with self._switching:
             if sim and self._source is None:
                 self._sim_ns = 0
@@ -68,5 +68,5 @@ class RosTime(OwnEnd):
             self._sim = sim
 
     def leave(self) -> None:
-        """Listen to ``/clock`` no more."""
+        """Unsubscribe from ``/clock``."""
         self.use(False)

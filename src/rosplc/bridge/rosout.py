@@ -1,4 +1,4 @@
-"""``/rosout``, where ROS collects what nodes log: the bridge's own log, and lines of the PLC's program."""
+"""``/rosout``, the topic for log lines in ROS: the bridge's log and lines from the PLC's program."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _PLC_LINES = 50  # of the PLC in a second
 
 
 class Rosout(logging.Handler):
-    """Sends lines to ``/rosout`` under the node's name; as a handler it takes those of a logger.
+    """Sends log lines to ``/rosout`` under the node's name; as a handler, it receives a logger's records.
 
-    Lines wait for :meth:`send`, so that no thread that logs waits for ROS. What is logged while sending, such
-    as its failure, is not sent.
+    Lines are queued for :meth:`send`, so that logging never waits for ROS. What is logged while sending, such
+    as a failure to send, is not sent.
     """
 
     def __init__(self, project: Project, backend: Backend, clock: Clock) -> None:
@@ -43,7 +43,7 @@ class Rosout(logging.Handler):
         self.publisher: Publisher = backend.advertise(TOPIC, self._type, QOS)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take a record of a logger."""
+        """Accept a record from a logger."""
         if threading.get_ident() != self._sender:
             try:
                 text, path, line = harmless(self.format(record)), record.pathname, record.lineno
@@ -52,7 +52,7 @@ class Rosout(logging.Handler):
                 self.handleError(record)
 
     def put(self, level: int, text: str, child: str = "", stamp_ns: int = 0, **place: Any) -> None:
-        """Have a line sent: ``level`` as in :mod:`logging`, ``child`` of the node's name; 0: stamped now."""
+        """Queue a line: ``level`` as in :mod:`logging`, ``child`` of the node's name; ``stamp_ns`` 0: now."""
         stamp_ns, grade = stamp_ns or self._clock.time_ns(), min(max(level // 10, 1), 5)
         stamp = {"stamp": fields.time(stamp_ns)}
         values = {"name": self._name + child, "msg": text[:_LONGEST], **place}
@@ -62,7 +62,7 @@ class Rosout(logging.Handler):
         self._lines.append((values, stamp_ns))
 
     def send(self) -> None:
-        """Send the lines that wait. A failure is logged, but not here."""
+        """Send the queued lines. A failure is logged, but not here."""
         if self._sender:  # a thread that was left behind hangs in the ROS side
             return
         self._sender = threading.get_ident()
@@ -80,14 +80,14 @@ class Rosout(logging.Handler):
             self._sender = 0
 
     def leave(self) -> None:
-        """Send the rest, and leave the topic."""
+        """Send the remaining lines and close the publisher."""
         logging.getLogger("rosplc").removeHandler(self)
         self.send()
         self.publisher.close()
 
 
 class PlcLog(OwnEnd):
-    """Completes the lines of the PLC's own topic ``/rosout``, and limits them."""
+    """Completes the lines of the PLC's own topic ``/rosout`` and limits their rate."""
 
     def __init__(self, rosout: Rosout, project: Project, clock: Clock) -> None:
         super().__init__()
@@ -98,7 +98,7 @@ class PlcLog(OwnEnd):
 
     @property
     def matched(self) -> int:  # type: ignore[override]
-        """The subscribers of ``/rosout``."""
+        """Number of subscribers to ``/rosout``."""
         return self._rosout.publisher.matched
 
     def status(self) -> EndpointStatus:
@@ -106,7 +106,7 @@ class PlcLog(OwnEnd):
         return self._rosout.publisher.status()
 
     def write(self, payload: bytes, stamp_ns: int) -> bool:
-        """Take a line; one beyond the limit is counted, and the count logged later."""
+        """Accept a line; lines beyond the limit are counted, and the count is logged later."""
         if (now := self._now()) - self._since >= 1_000_000_000:
             if (more := self._lines - _PLC_LINES) > 0:
                 self._rosout.put(logging.WARNING, f"{plural(more, 'line')} suppressed", ".plc")

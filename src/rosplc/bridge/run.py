@@ -1,4 +1,4 @@
-"""A bridge as a program: runs until it is told to stop."""
+"""Runs a bridge as a program, until it is asked to stop."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _LOOK_AGAIN_S = 0.1  # a signal's handler does not end a select early
 
 @contextmanager
 def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threading.Event]:
-    """Give an event that SIGTERM, SIGINT and a closed terminal (SIGHUP) set; for the main thread.
+    """Provide an event that SIGTERM, SIGINT and a closed terminal (SIGHUP) set; for the main thread.
 
-    A second one ends the process at once, unless it follows within a fifth of a second: timeout(1) and launch
-    tools send each signal to the process and to its group. SIGHUP stays ignored where the parent process
-    ignores it (nohup). ``tell`` is called with each signal's number, in its handler, also for SIGUSR1, and
-    SIGHUP without a terminal, which set nothing; without ``tell`` these two are logged and otherwise ignored.
+    A second signal ends the process at once, unless it follows within 0.2 s: timeout(1) and launch tools send
+    each signal to the process and its group. SIGHUP stays ignored if the parent process ignores it (nohup).
+    ``tell`` is called in the handler with each signal's number. It is also called for SIGUSR1, and for SIGHUP
+    without a terminal, which do not set the event; without ``tell``, these two are only logged.
     """
     event = threading.Event()
 
@@ -62,7 +62,7 @@ def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threa
         if tell is not None:
             tell(number)
         else:
-            log.warning("the signal is ignored; restart the bridge to apply a changed configuration")
+            log.warning("the reload signal is ignored; restart the bridge to apply a changed configuration")
 
     wanted = {
         signal.SIGTERM: leave,
@@ -82,7 +82,7 @@ def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threa
 
 
 def on_terminal() -> bool:
-    """Return whether this process belongs to a terminal, which sends SIGHUP when it is closed."""
+    """Return whether this process has a controlling terminal, which sends SIGHUP when it is closed."""
     try:
         os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
     except OSError:
@@ -91,7 +91,7 @@ def on_terminal() -> bool:
 
 
 def pause(stop: threading.Event, seconds: float, clock: Clock = SYSTEM) -> bool:
-    """Wait until ``stop`` is set, for ``seconds`` at most; return whether it is. For the main thread."""
+    """Wait at most ``seconds`` until ``stop`` is set; return whether it is set. For the main thread."""
     # A signal's handler sets the event there: in ``Event.wait`` it could interrupt the moment in which that
     # holds the event's lock, and wait for the lock in ``Event.set`` for ever.
     end = clock.monotonic_ns() + round(seconds * 1e9)
@@ -103,11 +103,11 @@ def pause(stop: threading.Event, seconds: float, clock: Clock = SYSTEM) -> bool:
 def run_until_signal(
     bridge: Bridge, report: Callable[[BridgeStatus], None] | None = None, seconds: float | None = None
 ) -> None:
-    """Run a bridge until SIGTERM or SIGINT comes (:func:`stop_on_signals`); SIGUSR1 reloads its file.
+    """Run a bridge until SIGTERM or SIGINT arrives (:func:`stop_on_signals`); SIGUSR1 reloads its file.
 
-    Without a terminal SIGHUP reloads it, too, as service managers expect; with one it ends the bridge.
-    ``report`` takes the bridge's status every ``seconds``. Raises as :meth:`Bridge.start`, and BackendError
-    ROS015 if the ROS side has ended for good; the program may be started again.
+    Without a terminal, SIGHUP also reloads the file, as service managers expect; with a terminal, it ends the
+    bridge. ``report`` gets the bridge's status every ``seconds``. Raises as :meth:`Bridge.start`, and
+    BackendError ROS015 if the ROS side has ended permanently; the program may be started again.
     """
     with News() as news:
         bridge.on_ended = news.put
@@ -124,10 +124,10 @@ def run_until_signal(
 
 
 class News:
-    """What the main thread waits for; a context manager.
+    """A queue of items and signals for the main thread; a context manager.
 
-    A signal may come at the moment before a thread begins to wait for a lock or a queue: its handler would
-    then run after the wait, which may be never. The interpreter writes into this pipe as a signal comes.
+    A signal may arrive just before a thread starts to wait for a lock or a queue: its handler would then run
+    only after the wait, which may never end. The interpreter writes to this pipe when a signal arrives.
     """
 
     def __init__(self, clock: Clock = SYSTEM) -> None:
@@ -149,13 +149,13 @@ class News:
         os.close(self._write)
 
     def put(self, item: int | str) -> None:
-        """Add an item; from any thread, and from a signal's handler."""
+        """Add an item; callable from any thread and from signal handlers."""
         self._items.append(item)
         with suppress(BlockingIOError):  # full: the reader wakes up anyway
             os.write(self._write, b"+")
 
     def wait(self, seconds: float | None) -> list[int | str]:
-        """Return what has come; an empty list if nothing has within the time."""
+        """Return the items that have arrived; an empty list if none has within the time."""
         now = self._clock.monotonic_ns
         end = None if seconds is None else now() + round(seconds * 1e9)
         while not self._items:
@@ -193,13 +193,13 @@ def run_bridge(
     supervised: Callable[[Bridge], AbstractContextManager[object]] = nullcontext,
     load: Callable[[Path, RosArguments | None], Project] = _load,
 ) -> None:
-    """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once, SIGUSR1 reloads the file.
+    """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once; SIGUSR1 reloads the file.
 
-    The log has a status line every ``status_seconds`` (None: never). ``supervised`` surrounds the running
-    bridge, such as a service manager's watchdog; ``load``, a function of a module, reads the configuration in
-    a process of its own. Raises RosplcError if the configuration is wrong, the bridge cannot start or the ROS
-    side has ended for good (ROS015); under a service manager SetupError SYS015 if something is missing that
-    may come by itself.
+    A status line is logged every ``status_seconds`` (None: never). ``supervised`` is a context around the
+    running bridge, such as a service manager's watchdog; ``load``, a module-level function, reads the
+    configuration in a separate process. Raises RosplcError if the configuration is invalid, the bridge cannot
+    start, or the ROS side has ended permanently (ROS015). Under a service manager, raises SetupError SYS015
+    if something is missing that may appear later.
     """
     log_to_stderr(level)
     _allow_many_files()
@@ -216,7 +216,7 @@ def run_bridge(
 
 
 def _allow_many_files() -> None:
-    """Ask for as many open files as this user may have: each topic holds one, and 1024 are usual."""
+    """Raise the limit of open files to the user's maximum: each topic uses one, and 1024 is a usual limit."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _FILES if most == resource.RLIM_INFINITY else min(most, _FILES)
     with suppress(OSError, ValueError):
@@ -224,7 +224,7 @@ def _allow_many_files() -> None:
 
 
 class _Reporter:
-    """Writes the status line, and each topic, service and action whose judgement changed."""
+    """Logs the status line, and each topic, service and action whose state has changed."""
 
     def __init__(self) -> None:
         self._before: dict[str, str] = {}

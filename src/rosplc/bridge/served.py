@@ -1,4 +1,4 @@
-"""Services and actions that the PLC carries out: the bridge is the caller towards the PLC."""
+"""Services and actions that the PLC serves: towards the PLC, the bridge is the caller."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from rosplc.shm.attach import Mapped, start_of
 from rosplc.shm.calls import WORDS
 
 _PATIENCE_NS = 10_000_000_000
-"""How long an answer to a call of an earlier bridge waits until the middleware has found its caller again."""
+"""How long the answer to an earlier bridge's call waits until the middleware has found the caller again."""
 _REMEMBERED = 256
-"""Callers that came last, whose requests may come twice."""
+"""Number of recent callers that are remembered, because their requests may arrive twice."""
 _CLIENT = 8
-"""Bytes of a caller that are the same in all its calls."""
+"""Bytes of a caller's identification that are the same in all its calls."""
 
 
 @dataclass(eq=False)
@@ -41,7 +41,7 @@ class _Call:
 
 
 class Calling(Use):
-    """What the PLC carries out: the bridge is the caller towards the PLC."""
+    """A service or action that the PLC serves: towards the PLC, the bridge is the caller."""
 
     _caller: Caller | None = None
     _again = False  # the newest answer counts once more: it is to what an earlier bridge asked
@@ -52,7 +52,7 @@ class Calling(Use):
         return self._writer is None or not self._holder or self._peer.silent
 
     def _take_answers(self, now_ns: int) -> None:
-        """Pass on the newest answer, and only then store that it was taken."""
+        """Forward the newest answer, and only then store that it was taken."""
         answers = self.plan.parts[1]
         reader, plan = self._readers[answers], self._codecs[answers].plan
         again, self._again = self._again, False
@@ -69,14 +69,14 @@ class Calling(Use):
         """Act on an answer."""
 
     def _check_claims(self) -> None:
-        """Raise ChannelError (SHM116) if answers are not this bridge's any more."""
+        """Raise ChannelError (SHM116) if this bridge no longer owns the answers."""
         if any(reader.line is None for reader in self._readers.values()):
             what = f"another bridge has taken over the {self.plan.kind}"
             raise ChannelError("SHM116", what, where=self.plan.called)
 
 
 class Served(Calling):
-    """A service that the PLC carries out."""
+    """A service that the PLC serves."""
 
     plan: ServicePlan
     _endpoint: ServiceServer | None
@@ -105,7 +105,7 @@ class Served(Calling):
     # -- a call's beginning and end
 
     def turn(self, now_ns: int) -> None:
-        """Go on with all calls."""
+        """Continue all calls."""
         try:
             if self._writer is not None:
                 self._look(now_ns)
@@ -119,7 +119,7 @@ class Served(Calling):
             self.due_ns = min(self.due_ns, self._next_ns)
 
     def _receive(self, now_ns: int) -> None:
-        """Put requests that came into the queue, or refuse them."""
+        """Queue the requests that have arrived, or refuse them."""
         plan = self.plan
         for _ in range(len(self.events)):  # what comes meanwhile waits for the next turn
             payload, caller, _ = self.events.popleft()
@@ -157,14 +157,14 @@ class Served(Calling):
                 self._publish(call, now_ns)
 
     def _publish(self, call: _Call, now_ns: int) -> None:
-        """Hand out the call that has waited longest; if that fails, it goes on waiting."""
+        """Hand out the call that has waited longest; if this fails, it keeps waiting."""
         assert self._caller is not None
         self._caller.call(partial(self._send, call.record), client=call.caller)
         self._open_call = self._waiting.popleft()
         self._next_ns = now_ns + self.plan.min_interval_ns
 
     def _withdraw(self, call: _Call) -> bool:
-        """Tell the PLC that nobody waits any more; return whether it may have begun (M26)."""
+        """Tell the PLC that the caller no longer waits; return whether the call may have begun (M26)."""
         assert self._caller is not None
         if call.withdrawn:
             return True  # or it would have ended with that
@@ -173,7 +173,7 @@ class Served(Calling):
         return begun or call.inherited
 
     def _end(self, call: _Call, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
-        """Count a call that has no answer, and tell its caller what the configuration says."""
+        """Count a call without an answer, and send the caller the configured response, if any."""
         if call is self._open_call:
             self._open_call = None
         if call.ended:
@@ -201,7 +201,7 @@ class Served(Calling):
     # -- the open call
 
     def _look(self, now_ns: int) -> None:
-        """Look at the PLC's side, and at what has become of the open call."""
+        """Check the PLC's side and the state of the open call."""
         claim, beat, beat_ms, taken = self._channels[Part.REQUEST].region.words(spec.reader_line(0), 4)
         self._observe(claim, beat, taken, beat_ms, now_ns)
         self._take_answers(now_ns)
@@ -215,7 +215,7 @@ class Served(Calling):
             self._judge(call, caller.begun(), now_ns)
 
     def _judge(self, call: _Call, begun: bool, now_ns: int) -> None:
-        """Withdraw a call that nobody waits for, or that will not be carried out."""
+        """Withdraw a call whose caller no longer waits, or that will not be executed."""
         waited = now_ns - call.arrived_ns
         if self._peer.silent:
             if self._withdraw(call):
@@ -288,7 +288,7 @@ class Served(Calling):
             self._withdraw(call)
 
     def _repeat(self, now_ns: int, *, last: bool = False) -> None:
-        """Answer callers of an earlier bridge, as soon as the middleware has found them, or now or never."""
+        """Answer an earlier bridge's callers when the middleware has found them; ``last``: now or never."""
         server = self._endpoint
         if server is None:
             return
@@ -323,7 +323,7 @@ class Served(Calling):
         self._waiting.appendleft(call)
 
     def finish(self, now_ns: int) -> None:
-        """Refuse what waits; what the PLC has begun is left to the next bridge."""
+        """Refuse waiting calls; a call that the PLC has begun is left to the next bridge."""
         with suppress(RosplcError, ValueError, OSError):
             self._receive(now_ns)
         while self._waiting:
@@ -336,7 +336,7 @@ class Served(Calling):
         self._repeat(now_ns, last=True)
 
 
-_GONE = "its objects are no longer in use"
+_GONE = "the objects of the goal are no longer in use"
 _TICK_NS = 1_000_000_000
 _ENDS: dict[int, Outcome] = {
     spec.ANSWER_NOT_EXECUTED: "not executed",
@@ -364,10 +364,10 @@ class _Goal:
 
 
 class ServedGoals(Calling):
-    """An action that the PLC carries out.
+    """An action that the PLC serves.
 
-    A goal waits undecided in ROS until the PLC has accepted or rejected it. What the PLC answers is read
-    newest first, and each answer implies those before it.
+    A goal stays undecided in ROS until the PLC has accepted or rejected it. Only the PLC's newest answer is
+    read: each answer implies the earlier ones.
     """
 
     plan: ActionPlan
@@ -404,7 +404,7 @@ class ServedGoals(Calling):
         return len(self._waiting) + (self._open_goal is not None)
 
     def turn(self, now_ns: int) -> None:
-        """Go on with all goals."""
+        """Continue all goals."""
         server = self._endpoint
         if server is None:
             return
@@ -428,7 +428,7 @@ class ServedGoals(Calling):
     # -- a goal's beginning and end
 
     def _receive(self, server: ActionServer, now_ns: int) -> None:
-        """Put goals that came into the queue, or reject them; note what is to be canceled."""
+        """Queue the goals that have arrived, or reject them; note which goals are to be canceled."""
         refused = Counter(server.refused) - self._refused
         self._refused += refused
         for reason in refused.elements():
@@ -489,24 +489,24 @@ class ServedGoals(Calling):
         self._open_goal = self._waiting.popleft()
 
     def _leave_note(self, goal: _Goal, server: ActionServer) -> None:
-        """Leave the next bridge what it has to know of a goal, if that has changed (M30)."""
+        """Store what the next bridge must know about a goal, if it has changed (M30)."""
         note = server.note(goal.uuid)
         if note and note != goal.note and self._notes is not None:
             self._notes.write(goal.uuid, note)
             goal.note = note
 
     def _sends(self, goal: _Goal) -> Callable[..., None]:
-        """Return what publishes a message of a goal."""
+        """Return the function that publishes a message of a goal."""
         caller, send = self._caller, partial(self._send, goal.record, stamp_ns=goal.stamp_ns)
         assert caller is not None
         # Each says who acted on goals when it was handed out, for a bridge that comes later.
         return lambda **words: send(**words, reason=caller.claimed)
 
     def _inform(self) -> None:
-        """Tell the PLC what is asked of the goal that it has accepted.
+        """Tell the PLC what is requested for the goal that it has accepted.
 
-        One message at a time, each seen by the PLC, which takes the same message again for another request
-        to cancel. Never ``CALL`` alone: to a program that has just started that is a new goal.
+        Each message is sent after the PLC has seen the previous one: a repeated message is another request to
+        cancel. ``CALL`` alone is never sent, because a restarted program would treat it as a new goal.
         """
         goal, writer = self._open_goal, self._writer
         if goal is None or not goal.accepted or writer is None or self._taken != writer.head:
@@ -521,14 +521,14 @@ class ServedGoals(Calling):
             goal.asked, goal.cancel = ask, False
 
     def _withdraw(self, goal: _Goal) -> bool:
-        """Tell the PLC that nobody waits for its decision; return whether it may have begun (M26)."""
+        """Tell the PLC that no client awaits its decision; return whether the goal may have begun (M26)."""
         assert self._caller is not None
         begun = goal.withdrawn or self._caller.withdraw(self._sends(goal))
         goal.withdrawn = True  # only now: what could not be withdrawn may still begin
         return begun
 
     def _end(self, goal: _Goal, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
-        """Count a goal that the PLC will not end, and tell its client: it is aborted if it was accepted."""
+        """Count a goal that the PLC will not end, and tell its client; an accepted goal is aborted."""
         server = self._endpoint
         if goal is self._open_goal:
             self._open_goal = None
@@ -543,7 +543,7 @@ class ServedGoals(Calling):
     # -- the open goal
 
     def _look(self, server: ActionServer, now_ns: int) -> None:
-        """Look at the PLC's side, and at what has become of the open goal."""
+        """Check the PLC's side and the state of the open goal."""
         claim, beat, beat_ms, self._taken = self._channels[Part.GOAL].region.words(spec.reader_line(0), 4)
         self._observe(claim, beat, self._taken, beat_ms, now_ns)
         self._take_answers(now_ns)
@@ -561,7 +561,7 @@ class ServedGoals(Calling):
             self._judge(server, goal, now_ns)
 
     def _judge(self, server: ActionServer, goal: _Goal, now_ns: int) -> None:
-        """Withdraw a goal that the PLC does not decide on, or that nobody waits for."""
+        """Withdraw a goal that the PLC does not decide on, or whose client no longer waits."""
         reason = Reason.NONE
         if self._peer.silent:
             reason = Reason.PLC_DOWN
@@ -588,7 +588,7 @@ class ServedGoals(Calling):
             self._end(goal, _ENDS.get(answer, "fate unknown"), reason, now_ns)
 
     def _follow(self, server: ActionServer, goal: _Goal, payload: bytes, status: int, now_ns: int) -> None:
-        """Bring a goal in ROS to where the PLC has it, through all steps between."""
+        """Bring a goal in ROS to the state that it has in the PLC, through all steps in between."""
         self._accept(server, goal)
         answer = status & spec.ANSWER_MASK
         if status & spec.ANSWER_CANCEL_ACCEPTED or answer == spec.ANSWER_CANCELED:
@@ -633,7 +633,7 @@ class ServedGoals(Calling):
     def _find(
         self, channels: Mapping[Part, Mapped], passed_on: int
     ) -> tuple[_Goal, SlotInfo, SlotInfo | None] | None:
-        """Return the goal that an earlier bridge has left open, its newest message, and what was answered."""
+        """Return the goal that an earlier bridge left open, its newest message, and the PLC's answer."""
         found, answer = (self._newest(part, channels) for part in self.plan.parts[:2])
         if found is None or not found[1].status & spec.ASK_CALL:
             return None
@@ -696,7 +696,7 @@ class ServedGoals(Calling):
                 self._waiting.appendleft(goal)
 
     def finish(self, now_ns: int) -> None:
-        """Reject what the PLC has not accepted; an accepted goal is left to the next bridge."""
+        """Reject goals that the PLC has not accepted; an accepted goal is left to the next bridge."""
         server = self._endpoint
         if server is None:
             return

@@ -1,4 +1,4 @@
-"""What a bridge reports about itself: plain data, judged in one place for all who show it."""
+"""What a bridge reports about itself: plain data, judged in one place for every display."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rosplc.shm.names import Call
 
 @dataclass(frozen=True, slots=True)
 class ClassicStatus:
-    """What can be known of a classic topic's memory and lock: there is no beat in them."""
+    """The state of a classic topic's memory and lock, which have no heartbeat."""
 
     memory: str  # the memory's name
     semaphore: str  # the semaphore's name; empty if nothing guards the memory
@@ -29,16 +29,16 @@ class ClassicStatus:
 
     @property
     def lock(self) -> str:
-        """The lock in a few words."""
+        """The state of the lock as text."""
         if not self.semaphore:
             return "none"
-        state = f"held for {format_age(self.held_ns)}" if self.held_ns > 1_000_000_000 else "in order"
-        return f"{state}, {self.timeouts} timeouts, {self.recovered} freed, {self.mended} corrected"
+        state = f"held for {format_age(self.held_ns)}" if self.held_ns > 1_000_000_000 else "OK"
+        return f"{state}; timeouts: {self.timeouts}, freed: {self.recovered}, corrected: {self.mended}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class PortStatus:
-    """What a port knows of the PLC and its memory."""
+    """What a port knows about the PLC and its memory."""
 
     skipped: int = 0  # messages held back on purpose: rate limit, unchanged, replaced by a newer one
     lost: int = 0  # messages that came too fast, or while there was no object or no room
@@ -53,7 +53,7 @@ class PortStatus:
 
 @dataclass(frozen=True)
 class TopicStatus(PortStatus):
-    """The state of one topic, with that of its port."""
+    """The state of one topic, including that of its port."""
 
     topic: str  # as ROS writes it
     type_name: str  # ``package/msg/Name``
@@ -127,7 +127,7 @@ class TopicStatus(PortStatus):
 
 @dataclass(frozen=True, kw_only=True)
 class CallStatus(Call):
-    """The state of one use of a service or action; each call is in exactly one of its numbers."""
+    """The state of one use of a service or action; each call is counted in exactly one of its numbers."""
 
     type_name: str  # ``package/srv/Name`` or ``package/action/Name``
     server: Literal["plc", "ros"]  # who carries the calls out
@@ -149,7 +149,7 @@ class CallStatus(Call):
 
     @property
     def _summary(self) -> str:
-        """A sentence for the calls while all is well."""
+        """A sentence about the calls if there is no problem."""
         raise NotImplementedError
 
     @property
@@ -202,9 +202,9 @@ class ActionStatus(CallStatus):
 
     @property
     def judgement(self) -> tuple[Level, str]:
-        """The level and a sentence for it; an open goal stays as it is while the PLC is silent."""
+        """The level and a sentence for it; an open goal keeps its state while the PLC is silent."""
         if self.server == "plc" and self.goal_status and not (self.problem or self.peer_alive):
-            return Level.WARN, f"the PLC is silent; the goal remains {self.goal_status}"
+            return Level.WARN, f"the PLC is silent; the goal is still {self.goal_status}"
         return super().judgement
 
     @property
@@ -214,14 +214,14 @@ class ActionStatus(CallStatus):
 
 
 def carried(topics: int, services: int, actions: int) -> str:
-    """Return in words how much a bridge carries."""
-    uses = ((services, "services"), (actions, "actions"))
-    return " and ".join((f"{topics} topics", *(f"{count} uses of {what}" for count, what in uses if count)))
+    """Return the number of topics, services and actions as text."""
+    uses = ((services, "service endpoints"), (actions, "action endpoints"))
+    return " and ".join((f"{topics} topics", *(f"{count} {what}" for count, what in uses if count)))
 
 
 @dataclass(frozen=True)
 class BridgeStatus:
-    """A bridge, its topics, services and actions as they stand."""
+    """The state of a bridge and its topics, services and actions."""
 
     bridge: str
     backend: str = ""  # the ROS backend in use; empty before start
@@ -241,7 +241,7 @@ class BridgeStatus:
 
     @property
     def judgement(self) -> tuple[Level, str]:
-        """The level of the bridge itself, its topics left out."""
+        """The level and a sentence for the bridge itself, without its topics."""
         if not self.running:
             return Level.ERROR, "not running"
         if self.notes:
@@ -250,7 +250,7 @@ class BridgeStatus:
         return Level.OK, f"{counts} over {self.backend}"
 
     def topic(self, name: str) -> TopicStatus:
-        """Return one topic's status; KeyError if there is none."""
+        """Return a topic's status; KeyError if there is no such topic."""
         for status in self.topics:
             if status.topic == name:
                 return status

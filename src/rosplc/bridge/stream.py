@@ -1,4 +1,4 @@
-"""One topic of a running bridge: a ROS endpoint and a port, and what is between them."""
+"""One topic of a running bridge: a ROS endpoint, a port, and the path between them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FLAG_QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
 
 class Stream(Notes, ABC):
-    """One topic: its endpoint in ROS, its port, and what is between them; both tell it what happens."""
+    """One topic: its ROS endpoint, its port, and the path between them; both report events to it."""
 
     substituting = False  # whether something else is passed on in the source's place
     _unsent: hold.Unsent | None = None
@@ -58,11 +58,11 @@ class Stream(Notes, ABC):
 
     @abstractmethod
     def _key(self, data: bytes) -> bytes | None:
-        """Return what tells messages apart with ``on_change``; None where nothing does."""
+        """Return the key that distinguishes messages with ``on_change``; None if there is none."""
 
     @abstractmethod
     def _send(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
-        """Pass on what nothing holds back any more."""
+        """Send a message that has passed all stages."""
 
     # -- life
 
@@ -78,26 +78,26 @@ class Stream(Notes, ABC):
         """As :meth:`connect`."""
 
     def disconnect(self) -> None:
-        """Take the endpoint off the graph; harmless twice."""
+        """Remove the endpoint from the ROS graph; a second call does nothing."""
         if self._endpoint is not None:
             self._endpoint.close()
 
     @abstractmethod
     def begin(self, now_ns: int) -> None:
-        """The stream is connected, and about to be served."""
+        """Prepare for being served: the stream is connected."""
 
     def finish(self, now_ns: int) -> None:
-        """Pass on what waits, though its time has not come."""
+        """Send all waiting messages, even if they are not due."""
         self.hold.flush(now_ns, anyway=True)
 
     def flush(self, now_ns: int) -> None:
-        """Pass on what waited for its time."""
+        """Send the messages that are due."""
         self.hold.flush(now_ns)
 
     # -- housekeeping, about once a second
 
     def check(self, now_ns: int) -> bool:
-        """Look after port and rate; return whether the port must be opened again."""
+        """Check the port and the rate; return whether the port must be opened again."""
         # Never calls the ROS side, which may hang while the beats continue.
         since, count = self._rate_from
         if now_ns - since >= 500_000_000:
@@ -112,7 +112,7 @@ class Stream(Notes, ABC):
             return True
 
     def ask(self, now_ns: int) -> None:
-        """Ask the ROS side: tell the PLC how many peers there are, and note new losses."""
+        """Query the ROS side: show the PLC the number of ROS endpoints, and note new losses."""
         endpoint, status = self._look(now_ns)
         if endpoint is not None:
             self._tell(endpoint.matched)
@@ -140,7 +140,7 @@ class Stream(Notes, ABC):
     # -- what the port tells
 
     def receive(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
-        """Take a message from the PLC, encoded."""
+        """Accept an encoded message from the PLC."""
         raise NotImplementedError
 
     def delivered(self, data: bytes, flags: int) -> None:
@@ -148,14 +148,14 @@ class Stream(Notes, ABC):
         raise NotImplementedError
 
     def _passed(self) -> int:
-        """Return how many messages went past this, and note when the last did."""
+        """Return how many messages bypassed this object, and note the time of the last one."""
         if self._sink is None:
             return 0
         self.silence.passed(self._sink.last_ns)
         return int(self._sink.messages)
 
     def _open_sink(self, opens: Any) -> None:
-        """Let the next messages go past this, where nothing looks at each of them."""
+        """Let the next messages bypass this object if nothing has to inspect each of them."""
         holds = any(one is not self._unsent or one.due_ns is not None for one in self.hold.stages)
         if self._sink is not None and not holds and not self.plan.print:
             opens.open_sink(self.plan.stale_after_ns)
@@ -180,17 +180,17 @@ class Stream(Notes, ABC):
         self.note(now_ns, f"message refused: {explained.where}: {explained.what}", explained.code)
 
     def renewed(self) -> None:
-        """Another object is open, or none: the PLC does not have the last message."""
+        """Note that another object is open, or none: the PLC does not have the last message."""
         self.hold.forget()
 
     # -- status
 
     def endpoint(self) -> EndpointStatus | None:
-        """Return the state of the ROS side's endpoint, None before there is one."""
+        """Return the state of the ROS endpoint; None before it exists."""
         return None if self._endpoint is None else self._endpoint.status()
 
     def status(self, now_ns: int, within_ns: int = 0) -> TopicStatus:
-        """Return the stream's present state, or as it was seen within a time; without an age one object."""
+        """Return the stream's state, at most ``within_ns`` old; the same object if only its age differs."""
         _, status = self._known
         if status is None or not within_ns or (now_ns - self._looked_ns >= within_ns and not self.still):
             _, status = self._look(now_ns)
@@ -201,7 +201,7 @@ class Stream(Notes, ABC):
         return aged
 
     def _look(self, now_ns: int) -> tuple[EndpointStatus | None, TopicStatus]:
-        """Return the state of the endpoint, and the stream's without its age."""
+        """Return the state of the endpoint, and that of the stream without its age."""
         passed, truncated, counters = self._passed(), getattr(self._sink, "truncated", 0), vars(self.counters)
         plan, silence, endpoint, port = self.plan, self.silence, self.endpoint(), self.port.status(now_ns)
         rate, stale, silent = self._rate, silence.stale(now_ns), silence.reported(now_ns)
@@ -232,7 +232,7 @@ class Stream(Notes, ABC):
 class ToPlc(Stream):
     """One topic towards the PLC: the backend's thread gives each message to the port.
 
-    ``on_due`` is called, from any thread, when a message waits for its time; :meth:`flush` sends it.
+    ``on_due`` is called from any thread when a message has to wait; :meth:`flush` sends it.
     """
 
     def __init__(
@@ -249,11 +249,11 @@ class ToPlc(Stream):
         self._sink = sink if divert is not None and sink is not None and divert(sink) else None
 
     def begin(self, now_ns: int) -> None:
-        """The next message is marked as the first."""
+        """Mark the next message as the first."""
         self._first = True
 
     def on_message(self, data: bytes, stamp_ns: int) -> None:
-        """Take a message from the backend."""
+        """Accept a message from the backend."""
         now = self._now()
         if self._came(now):
             self._first = True
@@ -284,7 +284,7 @@ class ToPlc(Stream):
         self._print("to", data)
 
     def renewed(self) -> None:
-        """Another object is open: the next message is marked as the first."""
+        """Note that another object is open: the next message is marked as the first."""
         super().renewed()
         self._first = True
 
@@ -297,7 +297,7 @@ class ToPlc(Stream):
 
 
 class ToRos(Stream):
-    """One topic towards ROS; its methods are called by the carrier's thread unless they say otherwise."""
+    """One topic towards ROS; the carrier's thread calls its methods unless stated otherwise."""
 
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         super().__init__(plan, context, ports)
@@ -345,7 +345,7 @@ class ToRos(Stream):
             flag.close()
 
     def fail(self, now_ns: int, error: Exception) -> None:
-        """Remember an error; while another bridge carries the topic, withdraw what the publisher retains."""
+        """Note an error; while another bridge carries the topic, withdraw the retained message."""
         # DDS sends that to subscribers that it discovers, again where this bridge was stopped for longer than
         # the lease: behind what the other bridge has sent.
         super().fail(now_ns, error)
@@ -354,7 +354,7 @@ class ToRos(Stream):
             self._publisher = self._endpoint = None
 
     def reopen(self, now_ns: int) -> bool:
-        """Open the port again, and advertise the topic if it was withdrawn meanwhile."""
+        """Open the port again, and advertise the topic again if it was withdrawn."""
         if not super().reopen(now_ns):
             return False
         if self._publisher is None and self._backend is not None:
@@ -366,7 +366,7 @@ class ToRos(Stream):
         return True
 
     def begin(self, now_ns: int) -> None:
-        """Let the first messages wait for a subscriber; publish what is retained for later ones."""
+        """Let the first messages wait for a subscriber; publish a retained message for late subscribers."""
         publisher = self._publisher
         if publisher is None:
             return
@@ -383,7 +383,7 @@ class ToRos(Stream):
         return stamp_ns if stamp_clock == STAMP_SYSTEM and 0 < stamp_ns < _NO_TIME else self._time()
 
     def receive(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
-        """Pass on a message that was taken."""
+        """Forward a message taken from the PLC."""
         now = self._now()
         self._came(now)
         if flags & TRUNCATED:
@@ -410,14 +410,14 @@ class ToRos(Stream):
                 self._open_sink(self._publisher)
         elif self._unsent is not None and failure[1] == "ROS009":
             self._unsent.keep((data, stamp_ns), now_ns)
-            self.note(now_ns, f"the newest message is waiting: {failure[0]}", failure[1])
+            self.note(now_ns, f"the newest message has not been sent yet: {failure[0]}", failure[1])
         else:
             count.lost += counted
             self.hold.forget()
             self.note(now_ns, f"message not sent: {failure[0]}", failure[1])
 
     def _write(self, data: bytes, stamp_ns: int) -> tuple[str, str] | None:
-        """Publish; return why that failed, as words and an error's code, else None."""
+        """Publish; return None, or the reason for the failure: a text and an error code."""
         if self._publisher is None:
             return "the publisher is not open", ""
         try:
@@ -426,20 +426,20 @@ class ToRos(Stream):
             return error.what, error.code
         except Exception as error:  # a backend's own mistake must not stop the other streams
             return f"{type(error).__name__}: {error}", ""
-        return None if sent else ("a subscriber does not keep up", "")
+        return None if sent else ("a subscriber cannot keep up", "")
 
     def _give_up_unsent(self) -> None:
-        """Count the message that waits for an active node as lost: something newer takes its place."""
+        """Count the message that waits for an active node as lost: a newer one replaces it."""
         if self._unsent is not None and (item := self._unsent.take()) is not None:
             self.counters.lost += item[0] is not self._retained
 
     def finish(self, now_ns: int) -> None:
-        """Pass on what waits."""
+        """Send all waiting messages."""
         super().finish(now_ns)
         self._give_up_unsent()
 
     def flush(self, now_ns: int) -> None:
-        """Pass on what waited for its time; no substitute while another bridge carries the topic."""
+        """Send the messages that are due, but no substitute while another bridge carries the topic."""
         if (substitute := self._substitute) is not None and self._taken_over():
             self.silence.excuse(now_ns)
             if substitute.active:
@@ -451,7 +451,7 @@ class ToRos(Stream):
         return "[SHM116]" in self.problem if self.problem else not self.port.owned()
 
     def _send_substitute(self, now_ns: int) -> None:
-        """Publish what takes the PLC's place; it is counted apart, and its loss is no message's."""
+        """Publish a substitute for the PLC's message; it is counted separately, and never as lost."""
         self.hold.forget()
         self._give_up_unsent()
         if (failure := self._write(self._payload, self._time())) is None:
@@ -467,7 +467,7 @@ class ToRos(Stream):
             log.warning("%s: the PLC is silent; a substitute is published every %s", topic, every)
         else:
             number = count.substituted - self._substituted_before
-            log.info("%s: the PLC has resumed sending, after %d substitutes", topic, number)
+            log.info("%s: the PLC has resumed sending after %d substitutes", topic, number)
         self._show(active)
 
     def _show(self, active: bool) -> None:
@@ -478,9 +478,9 @@ class ToRos(Stream):
 
 
 class OwnEnd:
-    """The other end of topics between the bridge itself and the PLC: what their streams have as ROS side.
+    """The bridge's end of topics between the bridge itself and the PLC: the ROS side of their streams.
 
-    One that takes messages of the PLC's has a method ``write`` as a publisher has.
+    A class that accepts messages from the PLC has a method ``write``, as a publisher does.
     """
 
     matched = 1
@@ -489,20 +489,20 @@ class OwnEnd:
         self.give: OnMessage = _dropped  # gives the PLC a message
 
     def subscribe(self, _topic: str, _type: str, _qos: Qos, on_message: OnMessage) -> OwnEnd:
-        """Take how the PLC is given a message."""
+        """Store the function that passes a message to the PLC."""
         self.give = on_message
         return self
 
     def advertise(self, *_: object) -> OwnEnd:
-        """Return what takes the PLC's messages."""
+        """Return the object that accepts the PLC's messages."""
         return self
 
     def status(self) -> EndpointStatus:
-        """Return that somebody listens and speaks."""
+        """Return a status that shows ``matched``."""
         return EndpointStatus("", "", "in", self.matched)
 
     def close(self) -> None:
-        """Give the PLC nothing more."""
+        """Stop passing messages to the PLC."""
         self.give = _dropped
 
 

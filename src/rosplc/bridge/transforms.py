@@ -1,4 +1,4 @@
-"""Transforms of /tf and /tf_static: poses as tf2's BufferCore has them for the latest common time."""
+"""Transforms from /tf and /tf_static: poses as in tf2's BufferCore, at the latest common time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def compose(outer: Pose, inner: Pose) -> Pose:
-    """Return the pose of a frame that is at ``inner`` in a frame that is at ``outer``."""
+    """Return the pose of a frame whose pose is ``inner`` in a frame with the pose ``outer``."""
     tx, ty, tz, ax, ay, az, aw = outer
     x, y, z, bx, by, bz, bw = inner
     scale, dot = 2 * aw * aw - 1, 2 * (ax * x + ay * y + az * z)
@@ -50,13 +50,13 @@ def compose(outer: Pose, inner: Pose) -> Pose:
 
 
 def inverse(pose: Pose) -> Pose:
-    """Return the pose of the parent in the child."""
+    """Return the pose of the parent frame in the child frame."""
     x, y, z, qx, qy, qz, qw = pose
     return compose((0.0, 0.0, 0.0, -qx, -qy, -qz, qw), (-x, -y, -z, 0.0, 0.0, 0.0, 1.0))
 
 
 def interpolate(one: Pose, other: Pose, ratio: float) -> Pose:
-    """Return the pose ``ratio`` of the way: on a straight line, and turned the shorter way round."""
+    """Interpolate at ``ratio`` between two poses: linearly, with the rotation along the shorter way."""
     dot = sum(a * b for a, b in zip(one[3:], other[3:], strict=True))
     angle, first, second = math.acos(min(1.0, abs(dot))), 1.0, 0.0
     if angle:
@@ -68,7 +68,7 @@ def interpolate(one: Pose, other: Pose, ratio: float) -> Pose:
 
 
 class Found(NamedTuple):
-    """What a lookup found."""
+    """The result of a lookup."""
 
     error: TransformError
     frame: str  # what the error is about; without an error the frame whose transform is the oldest
@@ -78,7 +78,7 @@ class Found(NamedTuple):
 
 
 class Buffer:
-    """The transforms of the last seconds; from any thread."""
+    """The transforms of the last seconds; usable from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -87,11 +87,11 @@ class Buffer:
         self._frames: set[str] = set()
 
     def put(self, child: str, parent: str, stamp_ns: int, pose: Pose, *, static: bool = False) -> str:
-        """Take a transform; return why it is ignored. Of two with one stamp the first counts, as in tf2."""
+        """Store a transform, or return why it is ignored. For equal stamps, the first counts, as in tf2."""
         x, y, z, qx, qy, qz, qw = pose
         square = qx * qx + qy * qy + qz * qz + qw * qw
         if not child or not parent or child == parent:
-            return "it needs two different frames"
+            return "a transform needs two different frames"
         if not (abs(square - 1) <= 0.01 and math.isfinite(x + y + z)):
             return f"{pose} is not a translation with a unit quaternion"
         scale = 1 / math.sqrt(square)
@@ -111,7 +111,7 @@ class Buffer:
                 while links[0][0] < stamp_ns - KEEP_NS or len(links) > _MOST_LINKS:
                     del links[0]
             elif stamp_ns < links[-1][0] - KEEP_NS:
-                return f"it is {(links[-1][0] - stamp_ns) / 1e9:.0f} s older than the newest transform"
+                return f"its stamp is {(links[-1][0] - stamp_ns) / 1e9:.0f} s older than the newest one"
             else:
                 at = bisect_right(links, stamp_ns, key=_STAMP)
                 if not at or links[at - 1][0] != stamp_ns:
@@ -119,7 +119,7 @@ class Buffer:
         return ""
 
     def lookup(self, target: str, source: str) -> Found:
-        """Return the pose of a frame in another one at the newest time common to the chain between them."""
+        """Return the pose of a frame in another one, at the latest time common to the chain between them."""
         with self._lock:
             for frame in (target, source):
                 if frame not in self._frames:
@@ -146,7 +146,7 @@ class Buffer:
             )
 
     def _walk(self, frame: str, time_ns: int | None) -> Iterator[tuple[str, Pose]]:
-        """Yield a frame and its ancestors, each once, with the frame's pose in it; None: the newest links."""
+        """Yield a frame and its ancestors, with the frame's pose in each; time None: the newest links."""
         pose, seen = _IDENTITY, set[str]()
         while frame not in seen:
             yield frame, pose
@@ -172,7 +172,7 @@ class Buffer:
 
 
 def _reader(like: Layout, room: int) -> Callable[[bytes], Iterator[tuple[Any, ...]]]:
-    """Return what yields stamp, parent, child and pose of the transforms in a message, ``room`` at most."""
+    """Return a function that yields stamp, parent, child, pose of up to ``room`` transforms."""
     layout = compute_layout(like.store, TF_MESSAGE, Limits(_LONGEST_FRAME, room, {}))
     fields = {path.removeprefix("transforms[]."): offset for path, offset, _ in layout.fields()}
     first, pose = fields["header.stamp.sec"], fields["transform.translation.x"]
@@ -191,7 +191,7 @@ def _reader(like: Layout, room: int) -> Callable[[bytes], Iterator[tuple[Any, ..
 
 
 class Transforms:
-    """What a bridge receives of transforms, for as long as an entry uses it; from any thread."""
+    """The subscriptions to transforms, open while an entry uses them; usable from any thread."""
 
     def __init__(self, context: Context) -> None:
         self.buffer = Buffer()
@@ -201,7 +201,7 @@ class Transforms:
         self._subscriptions: list[Subscription] = []
 
     def join(self, user: object, backend: Backend, like: Codec) -> None:
-        """Subscribe, for the first user, on the wire of a codec; raises as the backend does."""
+        """Subscribe for the first user, with the wire format of a codec; raises as the backend does."""
         with self._lock:
             self._users.add(user)
             readers: dict[int, Any] = {}
@@ -210,7 +210,7 @@ class Transforms:
                 self._subscriptions.append(backend.subscribe(topic, TF_MESSAGE, qos, receive))
 
     def leave(self, user: object) -> None:
-        """Unsubscribe, after the last user; harmless twice."""
+        """Unsubscribe after the last user; a second call does nothing."""
         with self._lock:
             self._users.discard(user)
             while self._subscriptions and not self._users:
@@ -225,19 +225,19 @@ class Transforms:
         try:
             for stamp_ns, parent, child, pose in read(data):
                 if ignored := self.buffer.put(child, parent, stamp_ns, pose, static=topic == "/tf_static"):
-                    warn((topic, child), text=f"{topic}: {child!r} in {parent!r} is ignored: {ignored}")
+                    warn((topic, child), text=f"{topic}: ignored {child!r} in {parent!r}: {ignored}")
         except CodecError as error:
             warn(topic, text=f"{topic}: message ignored: {error}")
 
     def status(self) -> EndpointStatus | None:
-        """Return the state of the topic that has a problem, else of /tf, with the publishers of both."""
+        """Return the state of the topic with a problem, otherwise of /tf; publishers are those of both."""
         found = [subscription.status() for subscription in tuple(self._subscriptions)]
         shown = next((each for each in found if each.code), found[0] if found else None)
         return shown and replace(shown, matched=sum(each.matched for each in found))
 
 
 class TransformToPlc(ToPlc):
-    """One entry: at its rate the carrier's thread looks the pose up and passes it on."""
+    """One configured transform: the carrier's thread looks up the pose at its rate and passes it on."""
 
     def __init__(self, transforms: Transforms, plan: TopicPlan, *arguments: Any) -> None:
         super().__init__(plan, *arguments)
@@ -249,7 +249,7 @@ class TransformToPlc(ToPlc):
         self._transforms.join(self, backend, self.codec)
 
     def disconnect(self) -> None:
-        """Leave the subscriptions to the others; harmless twice."""
+        """Stop using the subscriptions; a second call does nothing."""
         self._transforms.leave(self)
 
     def endpoint(self) -> EndpointStatus | None:

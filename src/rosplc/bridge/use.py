@@ -1,4 +1,4 @@
-"""One use of a service or action, as its thread sees it: objects, endpoint in ROS, and its calls' counts."""
+"""One use of a service or action: its objects, its endpoint in ROS, and the counts of its calls."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from rosplc.shm.calls import WORDS
 
 _REPORT_NEWS = 2
 LOOK_NS = 5_000_000
-"""Time between two looks at the peers of a use with a call that waits or is open."""
+"""Time between two checks of the peers while a call waits or is open."""
 IDLE_NS = 100_000_000
-"""The same without one."""
+"""Time between two checks without such a call."""
 _TOO_LARGE = (4, 5, 8)
-"""Faults of a codec: a string or sequence exceeds a limit."""
+"""Codec faults: a string or sequence exceeds a limit."""
 
 Outcome = Literal[
     "done", "succeeded", "canceled", "aborted", "not executed", "fate unknown", "unreadable", "late"
@@ -48,12 +48,12 @@ class Use(Notes, ABC):
     """One use of a service or action: its objects, its endpoint in ROS, and its calls.
 
     Attributes:
-        port, side: The use itself: to its carrier it is stream and port at once.
+        port, side: The use itself: to its carrier, it is both stream and port.
         adopted: Whether :meth:`open` found all objects and kept them.
-        events: What the ROS side has told, for the thread of the calls.
-        due_ns: When :meth:`turn` is wanted at the latest.
-        feedback: Messages of feedback that were passed on.
-        goal_status: What the open goal does, in a word; empty while there is none.
+        events: Events from the ROS side, for the thread of the calls.
+        due_ns: When :meth:`turn` is due at the latest.
+        feedback: Feedback messages that were passed on.
+        goal_status: The state of the open goal, as a word; empty while there is none.
     """
 
     def __init__(self, plan: CallPlan, context: Context, on_event: Callable[[Use], None]) -> None:
@@ -80,7 +80,7 @@ class Use(Notes, ABC):
         self._holder = 0  # the claim that the PLC's block was last seen to have
 
     def watch(self, group: Group) -> list[int]:
-        """Have a group tell of the PLC's messages; return the readers' numbers there."""
+        """Let a group report the PLC's messages; return the readers' numbers in the group."""
         readers = self._readers.items()
         return [group.add_reader(reader, self._codecs[part].plan, _REPORT_NEWS) for part, reader in readers]
 
@@ -96,7 +96,7 @@ class Use(Notes, ABC):
 
     @property
     def lively(self) -> bool:
-        """Whether the PLC's block beats, or a call waits or is open."""
+        """Whether the PLC's block sends heartbeats, or a call waits or is open."""
         return self._peer.alive or bool(self._outstanding)
 
     # -- the objects
@@ -135,7 +135,7 @@ class Use(Notes, ABC):
                 log.log(level, text, self.plan.name, part.word, reason)
 
     def _left(self) -> Any:
-        """Return what an earlier bridge has left open in the objects that are there; None if nothing."""
+        """Return what an earlier bridge has left open in the existing objects; None if nothing."""
         before, plan = {}, self.plan
         with ExitStack() as stack, suppress(ChannelError, OSError):
             for part in plan.parts:
@@ -145,7 +145,7 @@ class Use(Notes, ABC):
         return None
 
     def _found(self, before: Mapping[Part, Mapped]) -> Any:
-        """As :meth:`_left`; nothing of a service, which has no more to be told."""
+        """As :meth:`_left`; None for a service, for which nothing remains to be done."""
         return None
 
     def _bereft(self, left: Any) -> None:
@@ -153,30 +153,30 @@ class Use(Notes, ABC):
 
     @abstractmethod
     def _claimed(self) -> None:
-        """All objects are this bridge's; find what an earlier one left open."""
+        """Find what an earlier bridge left open, after this bridge has claimed all objects."""
 
     def _newest(
         self, part: Part, channels: Mapping[Part, Mapped] | None = None
     ) -> tuple[bytes, SlotInfo] | None:
-        """Return the newest message of one of the objects, of this use's by default, and take nothing."""
+        """Return the newest message of an object, by default of this use, without taking it."""
         channel = (self._channels if channels is None else channels)[part]
         return Reader(channel.region, 0).peek_record()
 
     def close(self) -> None:
-        """Leave all objects with their last state."""
+        """Close all objects, which keep their last state."""
         self.context.beating.pop(self, None)
         channels, self._channels, self._writers, self._readers = self._channels, {}, {}, {}
         for channel in channels.values():
             channel.close()
 
     def retire(self) -> None:
-        """Give all objects up: their users are told, and their names are free."""
+        """Retire all objects: their users are notified, and their names become free."""
         for channel in self._channels.values():
             channel.retire()
         self.close()
 
     def check(self, now_ns: int) -> bool:
-        """Look after the objects; return whether they must be opened again."""
+        """Check the objects; return whether they must be opened again."""
         channels, readers = self._channels, self._readers
         if channels and not readers:
             return False  # they are being opened
@@ -184,19 +184,19 @@ class Use(Notes, ABC):
             if channels and all(reader.line is not None for reader in readers.values()):
                 if all(channel.still_there() for channel in channels.values()):
                     return False
-                self.note(now_ns, "an object was removed or replaced; creating all of them again", "SHM120")
+                self.note(now_ns, "an object was removed or replaced; creating all objects again", "SHM120")
         except (ChannelError, ValueError, OSError) as error:
             super().fail(now_ns, error)
         self._broken = channels
         return True
 
     def fail(self, now_ns: int, error: Exception) -> None:
-        """Remember an error that keeps the present objects from being used."""
+        """Note an error that makes the current objects unusable."""
         super().fail(now_ns, error)
         self._broken = self._channels
 
     def reopen(self, now_ns: int) -> bool:
-        """Close all objects and open them again, unless they were since; return whether that succeeded."""
+        """Close all objects and open them again, unless already done; return whether this succeeded."""
         if self._channels and self._channels is not self._broken:
             self.problem = ""
             return True
@@ -213,7 +213,7 @@ class Use(Notes, ABC):
 
     @abstractmethod
     def _let_go(self, now_ns: int) -> None:
-        """End the open call: its objects are about to be left."""
+        """End the open call: its objects are about to be closed."""
 
     # -- the ROS side
 
@@ -229,17 +229,17 @@ class Use(Notes, ABC):
         """As :meth:`connect`."""
 
     def disconnect(self) -> None:
-        """Take the endpoint off the graph; harmless twice."""
+        """Remove the endpoint from the ROS graph; a second call does nothing."""
         if self._endpoint is not None:
             self._endpoint.close()
 
     def tell(self, *event: Any) -> None:
-        """Take an event of the ROS side's; from any thread."""
+        """Queue an event from the ROS side; callable from any thread."""
         self.events.append(event)
         self._on_event(self)
 
     def _read(self, part: Part, payload: bytes) -> tuple[bytes, Reason, str]:
-        """Return what came from ROS as a record; if it cannot be one: no bytes, and why."""
+        """Convert a payload from ROS to a record; if this fails, return no bytes, and the reason."""
         codec = self._codecs[part]
         try:
             return codec.plan.decode(payload, self.plan.truncate)[0], Reason.NONE, ""
@@ -249,13 +249,13 @@ class Use(Notes, ABC):
             return b"", reason, f"{explained.where}: {explained.what}"
 
     def ask(self, now_ns: int) -> None:
-        """Ask the ROS side how the endpoint stands, and show the PLC how many clients there are."""
+        """Query the state of the ROS endpoint, and show the PLC the number of clients."""
         endpoint, writer = self._endpoint_status(), self._writer
         if endpoint is not None and self.plan.server == "plc" and writer is not None:
             writer.set_sources(endpoint.matched)
 
     def _endpoint_status(self) -> EndpointStatus | None:
-        """Return how the endpoint stands; an action's five as one, with those that use or have them all."""
+        """Return the endpoint's state; for an action, one for all five, with the peers that have all five."""
         if self._endpoint is None:
             return None
         if self.plan.kind == "service":
@@ -268,27 +268,27 @@ class Use(Notes, ABC):
     # -- the carrier's thread
 
     def begin(self, now_ns: int) -> None:
-        """The use is about to be served."""
+        """Prepare for being served."""
         self.due_ns = now_ns
 
     def flush(self, now_ns: int) -> None:
-        """Nothing is held back."""
+        """Do nothing: no message is held back."""
 
     @abstractmethod
     def turn(self, now_ns: int) -> None:
-        """Go on with all calls as far as possible. Raises ChannelError: The objects must be opened again."""
+        """Continue all calls as far as possible. Raises ChannelError if the objects must be opened again."""
 
     @abstractmethod
     def finish(self, now_ns: int) -> None:
-        """End what has not begun: the use is not served any more."""
+        """End calls that have not begun: the use is no longer served."""
 
     def give_up(self, now_ns: int) -> None:
-        """End what has begun too: the objects are about to be retired, and no other bridge finds it."""
+        """End calls that have begun, too: no other bridge finds them, since the objects will be retired."""
         self._let_go(now_ns)
         self.finish(now_ns)
 
     def _send(self, record: bytes, part: Part | None = None, *, stamp_ns: int = 0, **words: Any) -> None:
-        """Publish a message in one of the objects that the bridge writes; in the first unless said."""
+        """Publish a message in one of the objects that the bridge writes, by default the first."""
         if not self._writers:
             raise ChannelError("SHM111", "the objects are not open", where=self.plan.called)
         part = next(iter(self._writers)) if part is None else part
@@ -309,10 +309,10 @@ class Use(Notes, ABC):
     @property
     @abstractmethod
     def _outstanding(self) -> int:
-        """Calls that wait or are open."""
+        """Number of calls that wait or are open."""
 
     def status(self, now_ns: int) -> ServiceStatus | ActionStatus:
-        """Return the present state; from any thread."""
+        """Return the current state; callable from any thread."""
         plan, endpoint = self.plan, self._endpoint_status()
         kept = sorted(dict(self.counts).items())
 

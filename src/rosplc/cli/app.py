@@ -22,20 +22,20 @@ rosplc generate --out plc  —  write the PLC code
 
 rosplc run  —  run the bridge
 
-rosplc status  —  every channel on this machine, and whether anything is wrong
+rosplc status  —  print all channels on this machine and any problems
 
-rosplc doctor  —  problems with the machine and the configuration, and fixes
+rosplc doctor  —  find problems with the machine and the configuration, and suggest fixes
 
-`rosplc VERB --help` explains a verb; `rosplc explain CODE` an error.
+`rosplc VERB --help` explains a verb, and `rosplc explain CODE` explains an error.
 """
 # What --help says of each is here once more: the list imports no verb, and a verb no other.
 _VERBS = """\
 Set up
-  demo: Show ROS topics reaching a virtual PLC and its commands coming back.
+  demo: Demonstrate how ROS topics reach a virtual PLC and its commands come back.
   init: Examine a robot or a recording, and write a commented configuration.
-  check: Explain a configuration: its entries, their directions and settings, and who may open the objects.
-  generate: Write the PLC code: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
-  types: List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
+  check: Check and explain a configuration: entries, directions, settings, and access to shared memory.
+  generate: Write the PLC code: Structured Text, PLCopenXML, an import script for CODESYS, and a C header.
+  types: List the known message, service and action types, or show the fields and sizes of one type.
 
 Run
   run: Run the bridge in the foreground; logs go to stderr.
@@ -46,21 +46,21 @@ Run
 
 Watch
   status: Print a table of all channels on this machine, and any problems.
-  show: Show the message in a topic's shared memory, or list all channels of this machine.
-  top: Watch every channel of this machine in the terminal: rates, ages, losses, live peers, values.
+  show: Show the message in a topic's shared memory, or list all channels on this machine.
+  top: Watch all channels on this machine in the terminal: rates, ages, losses, values, connected programs.
   web: Show this machine's channels in a browser, live, until Ctrl-C.
-  record: Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
-  replay: Replay a recording into channels or onto ROS topics, in the recorded order and at the recorded pace.
+  record: Record channels to MCAP files, which Foxglove, PlotJuggler and `ros2 bag` can read.
+  replay: Replay a recording into channels or onto ROS topics, with the recorded order and timing.
 
 ROS
-  list: List the topics of the ROS graph, or its services or actions.
+  list: List the topics, services or actions in the ROS graph.
   echo: Print the messages of a ROS topic.
-  hz: Print the rate at which a ROS topic's messages arrive, every second.
+  hz: Print the message rate of a ROS topic every second.
   pub: Publish messages on a ROS topic.
 
 Diagnose
-  doctor: Examine this machine, a configuration and running bridges; suggest fixes.
-  explain: Explain an error code: what it means, and what to do.
+  doctor: Examine this machine, a configuration and running bridges, and suggest fixes.
+  explain: Explain what an error code means and what to do about it.
   bench: The comparison with Modbus and OPC UA is now the command rosplc-bench.
 """
 

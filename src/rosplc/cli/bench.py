@@ -2,7 +2,7 @@
 
 pip install 'rosplc[bench]'  —  install the comparison
 
-rosplc-bench --quick  —  a first look in half a minute
+rosplc-bench --quick  —  run a short comparison in half a minute
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def command(
     from rosplc.doctor.machine import pip_here
 
     warn(
-        "The comparison is now a separate command with the same options: rosplc-bench\n"
-        + pip_here("  to install it: pip install 'rosplc[bench]'")
+        "The comparison is now a separate command, rosplc-bench, with the same options.\n"
+        + pip_here("  To install it: pip install 'rosplc[bench]'")
     )
     raise typer.Exit(EXIT_CONFIG)

@@ -6,9 +6,9 @@ rosplc check rosplc.yaml --verbose  —  every detail of every topic
 
 rosplc check rosplc.yaml --json  —  the same information as JSON
 
-rosplc check --fix  —  rewrite keys that have new names since the file was written
+rosplc check --fix  —  rename keys whose names have changed since the file was written
 
-rosplc check --schema > rosplc.schema.json  —  lets an editor complete keys
+rosplc check --schema > rosplc.schema.json  —  write a schema that lets an editor complete keys
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from rosplc.project import (
 
 _SCREEN = 24  # lines that are printed without --verbose
 _WARNINGS = 6
-_CALLS = ("direction", "type", "bytes", "client", "task", "waits at most", "in the PLC")
+_CALLS = ("direction", "type", "bytes", "client", "task", "queue limit", "in the PLC")
 _WAYS = {1: "ROS → PLC", 2: "PLC → ROS"}
 
 
@@ -57,12 +57,12 @@ def command(
     fix: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Explain a configuration: its entries, their directions and settings, and who may open the objects.
+    """Check and explain a configuration: entries, directions, settings, and access to shared memory.
 
     Options:
-        verbose: Explain each topic: memory, QoS, what happens when its source is silent.
+        verbose: Show details of each topic, such as memory, QoS and fail-safe behavior.
         schema: Print the JSON Schema of configuration files.
-        fix: Rename keys that have new names; comments and layout are kept.
+        fix: Rename keys whose names have changed; comments and formatting are kept.
     """
     if schema:
         print_json(json_schema())
@@ -99,7 +99,7 @@ def _explain(project: Project, *, verbose: bool) -> None:
     if unusable:
         what = plural(len(unusable), "custom type")
         more = "" if verbose else " (rosplc check -v)"
-        total.append(f"{what} in types.paths cannot be used; the configuration needs none of these{more}.")
+        total.append(f"{what} in types.paths cannot be used, which does not affect this configuration{more}.")
     if verbose:
         # A type that needs another has the other's mistake.
         listed = dict.fromkeys(f"  {error.where}: {error.what} [{error.code}]" for error in unusable)
@@ -107,7 +107,7 @@ def _explain(project: Project, *, verbose: bool) -> None:
             say(line)
         return
     if len(found) > _WARNINGS:
-        found[_WARNINGS - 1 :] = [f"{plural(len(found) - _WARNINGS + 1, 'more warning')}: rosplc check -v"]
+        found[_WARNINGS - 1 :] = [f"{plural(len(found) - _WARNINGS + 1, 'more warning')} (rosplc check -v)"]
     body = [*_table(project), *_calls(project), *_limits(project)]
     width = terminal_width()
     around = sum(wrap(line, width).count("\n") + 1 for line in (*head, *total, *found))
@@ -192,16 +192,16 @@ def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
         if limits := _capacities(layout):
             yield "limits", limits
     yield "task", plan.task
-    yield "too large", "cut" if plan.truncate else "refused and counted"
+    yield "too large", "truncated" if plan.truncate else "refused and counted"
     if isinstance(plan, ServicePlan) and plan.server == "plc":
         yield "waiting", f"at most {plan.depth} calls, {plan.per_client} per caller"
-        yield "expires", f"a call that has waited for {format_duration(plan.expire_after_ns)}"
+        yield "expires", f"a call that is still waiting after {format_duration(plan.expire_after_ns)}"
         if plan.min_interval_ns:
             yield "passes on", f"at most one call per {plan.min_interval_ns / 1e6:g} ms"
         fallback = "nothing" if plan.fallback is None else str(plan.response.to_dict(plan.fallback))
         yield "unanswered", f"the caller gets {fallback}"
     elif isinstance(plan, ActionPlan) and plan.server == "plc":
-        also = {"reject": "is rejected", "abort": "replaces the first", "buffer": f"up to {plan.queue} wait"}
+        also = {"reject": "rejected", "abort": "replaces the first", "buffer": f"waits, at most {plan.queue}"}
         yield "another goal", also[plan.on_new_goal]
         yield "undecided", f"rejected after {format_duration(plan.accept_within_ns)}"
         yield "result", f"kept for {format_duration(plan.keep_result_ns)}"
@@ -223,7 +223,7 @@ def _head(project: Project) -> Iterator[str]:
         yield "ROS master: from ROS_MASTER_URI, else http://localhost:11311."
     else:
         yield "ROS domain: from ROS_DOMAIN_ID, else 0." if ros.domain is None else f"ROS domain {ros.domain}."
-    yield f"Who may open the objects: {_access_words(access(project))}."
+    yield f"Access to the objects: {_access_words(access(project))}."
 
 
 def _amount(project: Project) -> str:
@@ -238,7 +238,7 @@ def _access_words(given: dict[str, Any]) -> str:
     owner = f"user {given['owner']}" if given["owner"] else "the user who starts the bridge"
     group = f"group {given['group']}" if given["group"] else "that user's group"
     verbs = {0: "without access", 2: "write-only", 4: "read-only", 6: "read-write"}
-    everybody = "no other user" if not mode & 0o006 else f"everybody else {verbs[mode & 0o006]}"
+    everybody = "no other user" if not mode & 0o006 else f"other users {verbs[mode & 0o006]}"
     who = f"{owner} and {group}"
     if mode & 0o060 != 0o060:
         who = f"{owner}; {group} {verbs[mode >> 3 & 0o006]}"
@@ -276,8 +276,8 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
     yield "stale after", f"{plan.stale_after_ns / 1e6:g} ms" if plan.stale_after_ns else "never"
     yield "when silent", when_silent(project, plan)
     if to_plc:
-        yield "too large", "cut and counted" if plan.truncate else "refused and counted"
-    sieve = ["only what changed"] if plan.on_change else []
+        yield "too large", "truncated and counted" if plan.truncate else "refused and counted"
+    sieve = ["only changed messages"] if plan.on_change else []
     if plan.min_interval_ns:
         sieve.append(f"at most one message per {plan.min_interval_ns / 1e6:g} ms")
     if sieve:
@@ -291,12 +291,12 @@ def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
     times = (("deadline", qos.deadline_ns), ("lease", qos.lease_ns))
     words = [f"{word} {format_duration(ns)}" for word, ns in times if ns]
     yield "QoS", f"{', '.join([qos.reliability, qos.durability, f'depth {qos.depth}', *words])} ({chosen})"
-    lost = "are sent again" if qos.reliability == "reliable" else "stay lost"
+    lost = "are sent again" if qos.reliability == "reliable" else "are not sent again"
     way = f"lost messages {lost}"
     if plan.layout.store.ros_version == 1:
         way = "over TCP: nothing is lost while the connection lasts"
-    waiting = f"at most {qos.depth} messages wait, then the oldest are dropped"
-    yield "", f"{way}; {'only the newest message waits' if qos.depth == 1 else waiting}"
+    waiting = f"at most {qos.depth} messages are queued; a full queue drops its oldest message"
+    yield "", f"{way}; {'only the newest message is queued' if qos.depth == 1 else waiting}"
     kept = qos.durability == "transient_local"
     if plan.direction != 1:
         yield (
@@ -304,9 +304,9 @@ def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
             f"a late subscriber gets {'the stored messages' if kept else 'no earlier messages'}",
         )
     elif kept:
-        yield "", "messages that publishers stored before the bridge started are received"
+        yield "", "messages from before the bridge started are received if their publishers stored them"
     else:
-        yield "", "messages published before the bridge started are not received"
+        yield "", "messages from before the bridge started are not received"
 
 
 def _total(project: Project) -> Iterator[str]:
@@ -318,16 +318,16 @@ def _total(project: Project) -> Iterator[str]:
     if services := total - sum(sizes.values()):
         parts.append(f"services and actions {services}")
     ways = f" ({', '.join(parts)})" if all(sizes.values()) else ""
-    yield f"\nShared memory in total: {plural(total, 'byte')}{ways}."
+    yield f"\nTotal shared memory: {plural(total, 'byte')}{ways}."
 
 
 def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> Iterator[tuple[str, str]]:
     yield "classic", f"shared memory {classic.name} with the bare record"
-    lock = "none: a record may be read while it is written"
+    lock = "none: a record can be read while it is being written"
     if classic.semaphore:
         tried, held = format_duration(classic.wait_ns), format_duration(classic.recover_after_ns)
         freed = f"freed after {held} without a sign of life"
-        lock = f"semaphore {classic.semaphore}, tried for {tried}, {freed}"
+        lock = f"semaphore {classic.semaphore}, wait limit {tried}, {freed}"
     yield "lock", lock
     if plan.direction != 1:
         what = "each changed record is a message" if plan.on_change else "each poll is a message"

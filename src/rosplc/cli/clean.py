@@ -1,13 +1,13 @@
 """``rosplc clean``: remove objects in shared memory that no bridge holds.
 
-rosplc clean  —  remove what the bridge of rosplc.yaml, or of the default prefix, left behind
+rosplc clean  —  remove unused objects of the bridge of rosplc.yaml, or of the default prefix
 
 rosplc clean --prefix line3 --dry-run  —  show what would be removed
 
 rosplc clean --topic /old_topic  —  only this topic
 
-Objects of a running bridge and files of other programs are left alone. An attached PLC detects the removal,
-and attaches again once a bridge has created a new object; the last values are lost.
+Objects of a running bridge and files of other programs are not removed. An attached PLC detects the removal
+and attaches again when a bridge creates a new object; the last values are lost.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def command(
             say(f"{'would remove' if dry_run else 'removed'} {name}")
         for name, why in kept.items():
             say(f"kept {name}: {why}")
-        say(f"{plural(len(removed), 'file')} of prefix {namespace.prefix}, {plural(len(kept), 'name')} kept")
+        say(f"Prefix {namespace.prefix}: {plural(len(removed), 'unused file')}, {len(kept)} kept")
     if any(code in why for why in kept.values() for code in ("SHM102", "SHM119")):
         raise typer.Exit(EXIT_FAILURE)
 
@@ -68,7 +68,7 @@ def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[l
     try:
         listing = sorted(folder.iterdir())
     except OSError as error:
-        raise ChannelError("SHM123", f"cannot list: {error.strerror}", where=str(folder)) from error
+        raise ChannelError("SHM123", f"cannot list files: {error.strerror}", where=str(folder)) from error
     for path in listing:
         found = file_name(path.name)
         if found is None or found.prefix != namespace.prefix:

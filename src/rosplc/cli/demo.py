@@ -1,30 +1,30 @@
 """``rosplc demo``: robot, bridge and virtual PLC at work, on any machine.
 
-rosplc demo  —  watch it until Ctrl-C
+rosplc demo  —  run and watch the demo until Ctrl-C
 
 rosplc demo --duration 20s  —  run, then compare the messages sent with those received
 
 rosplc demo --duration 20s --rate 500 --topics 6 --json
 
-rosplc demo --duration 20s --kill  —  kill the bridge during the run, and start it again
+rosplc demo --duration 20s --kill  —  kill and restart the bridge during the run
 
 rosplc demo --plc st --duration 20s  —  the PLC runs generated Structured Text, compiled with gcc
 
 rosplc demo --plc openplc --duration 20s  —  the PLC is the OpenPLC runtime
 
-A simulated robot publishes over DDS; the bridge carries its topics into shared memory; a
-virtual PLC steers the robot based on its pose. They are three separate processes, with their own DDS
-domain and prefix. The exit status is 0 only if every message arrived whole and exactly once. With --kill,
-some messages are lost; the exit status is 0 only if these are consecutive and were sent around the kill,
-no message is torn or duplicated, and both directions work again.
+A simulated robot publishes over DDS; the bridge carries its topics into shared memory; a virtual PLC steers
+the robot based on its pose. The three processes use their own DDS domain and prefix. The exit status is 0
+only if every message arrived intact and exactly once. With --kill, some messages are lost; the exit status is
+0 only if these are consecutive and were sent around the kill, no message is torn or duplicated, and both
+directions work again.
 
-With --plc st, the PLC runs the code generated from the demo's configuration and the program
-examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It needs gcc and a
-checkout of the sources; at the first run, the translation takes a minute or two.
+With --plc st, the PLC runs Structured Text that is translated to C, without CODESYS: the code generated from
+the demo's configuration, and examples/st/PLC_PRG.st. This requires gcc and a checkout of the sources. Because
+of the translation, the first run takes a minute or two longer.
 
-With --plc openplc, the PLC is OpenPLC Runtime 4.1. Set ROSPLC_OPENPLC to the folder in which it was built,
-and ROSPLC_STRUCPP to that of STruC++, which compiles the program. The runtime needs /run/runtime, a folder
-that only root can create. No other OpenPLC may run. The mean cycle time is that of the last seconds.
+With --plc openplc, the PLC is OpenPLC Runtime 4.1. Set ROSPLC_OPENPLC to the folder where it was built and
+ROSPLC_STRUCPP to the folder of STruC++, its compiler. The runtime needs /run/runtime, a folder that only root
+can create. No other OpenPLC may be running. The mean cycle time covers the last few seconds.
 """
 
 from __future__ import annotations
@@ -62,16 +62,16 @@ def command(
     kill: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Show ROS topics reaching a virtual PLC and its commands coming back.
+    """Demonstrate how ROS topics reach a virtual PLC and its commands come back.
 
     Options:
         duration TIME: How long to send messages, such as 20s; by default until Ctrl-C, or for 20s
             if the output is not a terminal.
-        rate HZ: Messages per second and topic.
-        topics N: Topics that the robot sends.
-        plc KIND: What the PLC runs: python; st, generated Structured Text as C; or openplc, a program in
-            the OpenPLC runtime.
-        kill: Kill the bridge (SIGKILL) after a third of the time, and start it again.
+        rate HZ: Messages per second on each topic.
+        topics N: Number of topics that the robot publishes.
+        plc KIND: The PLC program: python; st, which is generated Structured Text translated to C; or
+            openplc, which runs in the OpenPLC runtime.
+        kill: Kill the bridge (SIGKILL) after a third of the duration, and restart it.
         as_json: Print the result as JSON.
     """
     from rosplc.demo.plan import FreeDomain, Plan
@@ -155,7 +155,7 @@ def _run(
         def draw(demo: Demo) -> None:
             if view is not None:
                 view.draw(demo)
-            line.show(lambda: f"{demo.phase}, {demo.elapsed:.0f} s")
+            line.show(lambda: f"{demo.elapsed:.0f} s: {demo.phase}")
 
         demo = stack.enter_context(Demo(plan, on_tick=draw, plc=module, folder=folder))
         stack.callback(line.clear)
@@ -205,7 +205,7 @@ def _in_words(outage: Outage) -> str:
         return "never" if moment is None else f"{moment - outage.restarted_at:.1f} s"
 
     return (
-        f"The bridge was killed at {outage.killed_at:.1f} s and started again at "
-        f"{outage.restarted_at:.1f} s; then the PLC received messages again after {after(outage.to_plc_at)}, "
-        f"and the robot received commands again after {after(outage.to_ros_at)}. The PLC kept running."
+        f"The bridge was killed at {outage.killed_at:.1f} s and restarted at {outage.restarted_at:.1f} s. "
+        f"Time until the PLC received messages again: {after(outage.to_plc_at)}; "
+        f"until the robot received commands again: {after(outage.to_ros_at)}. The PLC kept running."
     )

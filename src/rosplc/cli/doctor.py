@@ -2,15 +2,15 @@
 
 rosplc doctor  —  examine this machine, and rosplc.yaml if this folder contains one
 
-rosplc doctor rosplc.yaml  —  also compare the configuration with objects, PLC and ROS graph
+rosplc doctor rosplc.yaml  —  also compare the configuration with the objects, the PLC and the ROS graph
 
-rosplc doctor rosplc.yaml --plc generated  —  also check the PLC's code
+rosplc doctor rosplc.yaml --plc generated  —  also check the generated PLC code
 
 rosplc doctor rosplc.yaml --json | jq '.findings[] | select(.level == "error")'
 
-Without a configuration, only the machine is examined. The doctor needs no root, no ROS and no PLC, and
-changes nothing. The exit status is 1 if a finding is an error, and 2 if the configuration itself
-is wrong. `rosplc explain CODE` explains a code.
+Without a configuration, only the machine is examined. The doctor needs no root access, ROS or PLC, and
+changes nothing. The exit status is 1 if a finding is an error, and 2 if the configuration is invalid.
+`rosplc explain CODE` explains a code.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ def command(
     everything: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Examine this machine, a configuration and running bridges; suggest fixes.
+    """Examine this machine, a configuration and running bridges, and suggest fixes.
 
     Options:
-        plc FOLDER: Compare the output of `rosplc generate` with the configuration and the running bridge.
-        plc_user NAME: The PLC runtime's user, if the runtime is not running now.
-        ros: Examine the ROS graph, if there is a configuration.
+        plc FOLDER: The output of `rosplc generate`, to compare with the configuration and the running bridge.
+        plc_user NAME: The user of the PLC runtime, if the runtime is not running now.
+        ros: Examine the ROS graph, which requires a configuration.
         seconds SECONDS: How long to examine the ROS graph.
-        everything: Also show each passed check.
+        everything: Also show passed checks.
     """
     config = config or default_config()
     question = Question(config, plc, plc_user or "", ros, seconds, variables=dict(os.environ))
-    status = Console(stderr=True).status("looking") if sys.stderr.isatty() and not as_json else None
+    status = Console(stderr=True).status("examining") if sys.stderr.isatty() and not as_json else None
     if status is None:
         report = examine(question)
     else:
@@ -96,7 +96,7 @@ def _show(report: Report, console: Console, *, everything: bool) -> None:
             _line(console, "ok", "; ".join(dict.fromkeys(KINDS[finding.code].title for finding in fine)))
     counts = report.counts()
     words = ", ".join(plural(counts[word], word) for word in ("error", "warning", "note"))
-    console.print(Text(f"\n{words}; {counts['ok']} fine", style=_STYLES[report.worst.word]))
+    console.print(Text(f"\n{words}; {counts['ok']} passed", style=_STYLES[report.worst.word]))
 
 
 def _line(console: Console, word: str, text: str) -> None:

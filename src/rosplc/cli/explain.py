@@ -1,8 +1,8 @@
 """``rosplc explain``: what a code of an error or a finding means, and what to do.
 
-rosplc explain SHM112  —  an error of the command or of the log
+rosplc explain SHM112  —  an error from a command or a log
 
-rosplc explain 112  —  the same as a number in `udiError` of a PLC block
+rosplc explain 112  —  the same error, as a PLC block reports it in `udiError`
 
 rosplc explain DOC603  —  a finding of `rosplc doctor`
 
@@ -24,10 +24,10 @@ from rosplc.harmless import nearest
 
 @verb
 def command(code: str | None = None, /, *, as_json: bool = False) -> None:
-    """Explain an error code: what it means, and what to do.
+    """Explain what an error code means and what to do about it.
 
     Options:
-        code: A code such as SHM112 or DOC603, or an error number of a PLC block.
+        code: A code such as SHM112 or DOC603, or an error number from a PLC block.
     """
     known = _known()
     if code is None:
@@ -40,7 +40,7 @@ def command(code: str | None = None, /, *, as_json: bool = False) -> None:
     if wanted not in known:
         near = nearest(wanted, known)
         hint = f"; did you mean {near}?" if near else "; `rosplc explain` lists all codes"
-        raise typer.BadParameter(f"there is no code {code!r}{hint}", param_hint="CODE")
+        raise typer.BadParameter(f"unknown code {code!r}{hint}", param_hint="CODE")
     entry = known[wanted]
     if as_json:
         print_json(entry)

@@ -1,10 +1,10 @@
 """``rosplc generate``: the PLC half of a configuration, ready for CODESYS.
 
-rosplc generate rosplc.yaml --out plc  —  types, blocks, variable lists, programs, tasks of a configuration
+rosplc generate rosplc.yaml --out plc  —  the PLC code for this configuration
 
-rosplc generate --all-types jazzy --out plc  —  both blocks of every message type of a distribution
+rosplc generate --all-types jazzy --out plc  —  the read and write blocks for all message types of jazzy
 
-In CODESYS: Tools > Scripting > Execute Script File, and choose plc/rosplc_import.py.
+In CODESYS, run plc/rosplc_import.py with Tools > Scripting > Execute Script File.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ def command(
     force: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Write the PLC code: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
+    """Write the PLC code: Structured Text, PLCopenXML, an import script for CODESYS, and a C header.
 
     Options:
-        out FOLDER: The folder to write.
-        all_types DISTRO: Write every type of a ROS distribution, and no topics.
-        plc PLC: codesys; openplc: OpenPLC Runtime 4.1 with STruC++; or matiec: OpenPLC v3 and Beremiz.
-            For the last two, --target, --fences, --programs and --pins have no effect.
-        target PROCESSOR: Processor of the PLC: x86, or arm; by default this machine's. On arm, messages
-            take a scan longer, because no memory fence is proven on arm; see --fences.
-        fences: With --target arm: state that the device enables the MemoryBarrier library; blocks use it
-            if the project contains it.
+        out FOLDER: The output folder.
+        all_types DISTRO: Write blocks for every message type of a ROS distribution, without topics.
+        plc PLC: codesys; openplc (OpenPLC Runtime 4.1 with STruC++); or matiec (OpenPLC v3 and Beremiz).
+            --target, --fences, --programs and --pins affect only codesys.
+        target PROCESSOR: The PLC's processor: x86 or arm; by default this machine's. On arm, messages
+            arrive one scan later, unless --fences provides a memory fence.
+        fences: With --target arm: confirm that the device enables the MemoryBarrier library. The blocks
+            use the library if the project contains it.
         programs NAME: Prefix of the generated programs' names; by default the
-            configuration's `programs`, which is SharedMemory.
-        pins: Give blocks a pin per top-level field, for Ladder and Function Block Diagram.
+            configuration's `programs`, else SharedMemory.
+        pins: Give blocks a pin for each top-level field, for Ladder and Function Block Diagram.
         force: Overwrite files that were edited.
     """
     if config is not None and all_types is not None:
@@ -69,6 +69,6 @@ def command(
     for note in delivery.notes:
         say(f"note: {note}")
     if plc != "codesys":
-        say(f"For OpenPLC: {out / 'README.txt'}")
+        say(f"For the next steps, read {out / 'README.txt'}")
         return
-    say(f"In CODESYS: Tools > Scripting > Execute Script File, and choose {out / 'rosplc_import.py'}")
+    say(f"In CODESYS, run {out / 'rosplc_import.py'} with Tools > Scripting > Execute Script File")

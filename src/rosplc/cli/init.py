@@ -2,21 +2,21 @@
 
 rosplc init  —  examine the robot, ask what to carry, write rosplc.yaml
 
-rosplc init --all --listen 10s  —  do not ask, take all topics, measure for ten seconds
+rosplc init --all --listen 10s  —  do not ask; carry all topics, measure for ten seconds
 
-rosplc init --to-plc /cmd_vel --to-ros /joint_states=sensor_msgs/JointState  —  these two topics
+rosplc init --to-plc /cmd_vel --to-ros /joint_states=sensor_msgs/JointState  —  carry these two topics
 
 rosplc init --topics '/robot1/*' --output cell1.yaml  —  all topics of robot1
 
-rosplc init --all --services  —  with the robot's services and actions, as comments
+rosplc init --all --services  —  also propose services and actions, as comments in the file
 
 rosplc init --bag line3.bag --all  —  from a recording of ROS 1 or ROS 2
 
-While listening, it subscribes to the chosen topics; it publishes nothing. The proposed limits are one and
-a half times the observed sizes; the file shows sizes and rules. Definitions that are not in the
-distribution are taken from `--types`, from an installed ROS (`AMENT_PREFIX_PATH`,
-`ROS_PACKAGE_PATH`), from a node that uses the topic or from the recording, and saved in `msg` beside
-the file.
+While listening, the command subscribes to the chosen topics; it publishes nothing. The proposed limits
+are one and a half times the observed sizes; comments in the file show the sizes. Definitions that are not
+in the distribution are taken from `--types`, from an installed ROS (`AMENT_PREFIX_PATH`,
+`ROS_PACKAGE_PATH`), from a node that uses the topic or from the recording, and saved in a folder `msg`
+next to the file.
 """
 
 from __future__ import annotations
@@ -70,16 +70,16 @@ def command(
 
     Options:
         topics TOPIC: Carry this topic, or those that match a pattern such as `/robot1/*`, in the
-            proposed direction; `TOPIC=TYPE` also sets the type. May be repeated, or list
-            several with commas.
-        to_plc TOPIC: Like --topics, from ROS to the PLC.
-        to_ros TOPIC: Like --topics, from the PLC to ROS.
+            proposed direction; `TOPIC=TYPE` also sets the type. May be repeated; also accepts a
+            comma-separated list.
+        to_plc TOPIC: Like --topics, but from ROS to the PLC.
+        to_ros TOPIC: Like --topics, but from the PLC to ROS.
         everything: Carry every topic except those of ROS itself, such as /rosout.
         services: Also propose the services and actions of the graph, as comments in the file.
-        yes: Do not ask; without a choice of topics, take all of them.
-        listen TIME: How long to listen for sizes and rates; `0s`: not at all.
-        look TIME: Maximum time to look for the robot; the search ends early once everything is found.
-        bag FILE: Examine a recording (.bag, .mcap, .db3, a folder) instead of a robot.
+        yes: Do not ask; if no topics are chosen, carry all of them.
+        listen TIME: How long to measure sizes and rates of messages; `0s` skips this.
+        look TIME: Maximum time to look for the robot; the search ends as soon as everything is found.
+        bag FILE: Examine a recording (.bag, .mcap, .db3 or a folder) instead of a robot.
         output FILE: The configuration to write.
         force: Replace an existing configuration.
         bridge NAME: The bridge's name.
@@ -115,7 +115,7 @@ def command(
             if not as_json:
                 _list(source)
             if as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
-                what = "choose what to carry: --topics, --to-plc, --to-ros, or --all"
+                what = "choose the topics with --topics, --to-plc, --to-ros or --all"
                 raise typer.BadParameter(what, param_hint="--topics")
             wishes = _ask_topics(found)
         everything = everything or (yes and not wishes)
@@ -127,7 +127,7 @@ def command(
         line.clear()
         if not made.entries:
             reasons = "; ".join(f"{name}: {why}" for name, why in {**left_out, **made.left_out}.items())
-            what = f"no topic is left to carry{f' ({reasons})' if reasons else ''}"
+            what = f"there is no topic to carry{f' ({reasons})' if reasons else ''}"
             raise typer.BadParameter(what, param_hint="--topics")
         text, files = save(source, made, output, bridge=bridge, folders=folders, force=force, calls=services)
     except (KeyboardInterrupt, typer.Abort):
@@ -167,7 +167,7 @@ def _list(source: Source) -> None:
         return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
     found = source.found
-    say(f"{len(found.topics)} topics in {found.where}:\n")
+    say(f"{plural(len(found.topics), 'topic')} in {found.where}:\n")
     rows = [
         (
             number,
@@ -189,7 +189,7 @@ def _tell(
     found = []
     for entry in made.entries:
         seen = made.seen.get(entry.topic)
-        rate = "not listened to" if seen is None else plural(seen.messages, "message")
+        rate = "not measured" if seen is None else plural(seen.messages, "message")
         if seen is not None and seen.rate_hz:
             rate += f", {seen.rate_hz:.3g} Hz"
         arrow = "ROS → PLC" if entry.to == "plc" else "PLC → ROS"
@@ -197,7 +197,7 @@ def _tell(
     table(found, header=("topic", "direction", "type", "record", "seen"))
     say()
     for name, why in left_out.items():
-        say(f"Left out: {name}: {why}")
+        say(f"Left out {name}: {why}")
     for note in source.found.notes:
         say(f"Note: {note}")
     for name, origin in made.origins.items():
@@ -207,8 +207,8 @@ def _tell(
     say("\nNext:")
     steps = [
         (f"rosplc check {output}", "explain the file, and show how much memory the bridge needs"),
-        (f"rosplc run {output}", "carry the topics"),
-        (f"rosplc generate {output}", "write the PLC code, for CODESYS"),
+        (f"rosplc run {output}", "run the bridge"),
+        (f"rosplc generate {output}", "write the PLC code for CODESYS"),
     ]
     table(steps, indent=2)
 
@@ -265,7 +265,7 @@ def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
         topic, kind = topics[name], None
         if len(topic.types) != 1:
             say(f"{name}: {'unknown type' if not topic.types else ', '.join(topic.types)}")
-            kind = _asked("  Its type", topic.types[0] if topic.types else None, type_called)
+            kind = _asked("  Message type", topic.types[0] if topic.types else None, type_called)
         proposed, why = direction(topic)
         say(f"{name}: {why}.")
         if to := _asked("  Carry it to (plc/ros/none)", proposed, way):

@@ -22,12 +22,12 @@ _DEFAULT = Path("rosplc.yaml")
 _LOOK_S = 0.1
 
 ConfigFile = Annotated[
-    Path | None, typer.Argument(help="The configuration file; rosplc.yaml in this folder by default.")
+    Path | None, typer.Argument(help="The configuration file; by default `./rosplc.yaml`.")
 ]
 Directory = Annotated[str, typer.Option(help="The folder that contains the objects.", hidden=True)]
 Prefix = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Show only the bridge with this `prefix:`; rosplc.yaml is not read."),
+    typer.Option(metavar="NAME", help="Show only the bridge with this `prefix:`; do not read rosplc.yaml."),
 ]
 Configs = Annotated[
     list[Path] | None,
@@ -35,15 +35,15 @@ Configs = Annotated[
         "--config",
         metavar="FILE",
         help="Show only the bridge of this configuration, apply its `stale_after:`, and include its classic "
-        "topics and topics without a channel. May be repeated. By default rosplc.yaml in this folder, else "
-        "every bridge of the machine.",
+        "topics and topics without a channel. May be repeated. By default `./rosplc.yaml`, else every "
+        "bridge on this machine.",
     ),
 ]
 StaleAfter = Annotated[
     str,
     typer.Option(
         metavar="DURATION",
-        help="Without a configuration: age at which messages to the PLC become stale (`500ms`, `never`).",
+        help="Without a configuration: age at which messages to the PLC become stale, or `never`.",
     ),
 ]
 
@@ -73,7 +73,7 @@ def config_file(given: Path | None) -> Path:
     if given is None and default_config() is None:
         raise ConfigError(
             "CFG001",
-            "no configuration was given, and this folder has no rosplc.yaml",
+            "no configuration file was given, and this folder contains no rosplc.yaml",
             where=str(Path.cwd()),
             remedy="Specify the file, or create one with `rosplc init`.",
         )
@@ -120,7 +120,7 @@ def nothing_there(prefixes: Collection[str], directory: str) -> str:
     if not others:
         return "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
     asked = ", ".join(sorted(prefixes))
-    there = f"there are channels with the prefix {listed(others)}"
+    there = f"existing prefixes: {listed(others)}"
     return f"There is no channel with the prefix {asked} on this machine; {there}."
 
 

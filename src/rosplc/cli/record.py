@@ -7,12 +7,12 @@ rosplc record /cmd_vel '/robot1/*' -o shift.mcap --duration 10min  —  some cha
 rosplc record --bag -o shift --split-size 1GB  —  a folder for `ros2 bag`, a new file every gigabyte
 
 rosplc record --keep 5min --trigger error --trigger '/plc/status.fault' --after 10s  —  keep the last five
-minutes in memory, and write them when a trigger fires; Ctrl-C ends it, `kill -USR1` saves at once
+minutes in memory, and write them when a trigger fires; Ctrl-C stops, and `kill -USR1` saves at once
 
-rosplc record --repair broken.mcap  —  save the intact part of a file that was cut off
+rosplc record --repair broken.mcap  —  save the intact part of a truncated file
 
-It reads every message in order, without affecting other programs. Missed messages are counted, reported,
-and noted in the file.
+The recorder reads every message in order, without affecting other programs. Missed messages are counted,
+reported, and noted in the file.
 """
 
 from __future__ import annotations
@@ -70,27 +70,27 @@ def command(
     directory: Directory = "/dev/shm",
     as_json: bool = False,
 ) -> None:
-    """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
+    """Record channels to MCAP files, which Foxglove, PlotJuggler and `ros2 bag` can read.
 
     Options:
         topics: Topics, services and actions, or patterns such as '/robot1/*'; by default all.
-        output PATH: The file, or the folder of a bag; by default rosplc_DATE.
+        output PATH: The file, or with --bag the folder; by default rosplc_DATE.
         bag: Write a folder with a metadata.yaml, as `ros2 bag record` does.
         prefix NAME: The bridge's `prefix:`; by default the configuration's, else rosplc.
-        config FILE: The bridge's configuration, for prefix, QoS and `stale_after:`; without --prefix,
-            rosplc.yaml in this folder by default.
+        config FILE: The configuration for prefix, QoS and `stale_after:`; without --prefix, by default
+            `./rosplc.yaml`.
         exclude TOPIC: Topics, services or patterns to leave out.
-        duration TIME: End after this time, such as 10min.
-        split_size SIZE: Begin a new file at this size, such as 1GB.
+        duration TIME: Stop after this time, such as 10min.
+        split_size SIZE: Begin a new file when the size reaches this value, such as 1GB.
         split_time TIME: Begin a new file after this time, such as 10min.
-        compression NAME: How messages are compressed: zstd, lz4 or none.
-        keep TIME: Keep the messages of this time in memory, and write them only when a trigger fires.
-        memory SIZE: With --keep: maximum memory to use; beyond that, the oldest messages are dropped.
-        trigger WHAT: With --keep: stale, error, or a field that becomes true such as
-            '/plc/status.fault' or '/tank.level > 0.9'; by default stale and error.
+        compression NAME: Compression of messages: zstd, lz4 or none.
+        keep TIME: Keep messages in memory for this time, and write them only when a trigger fires.
+        memory SIZE: With --keep: maximum memory to use; if it is full, the oldest messages are dropped.
+        trigger WHAT: With --keep: stale, error, or a condition such as '/plc/status.fault' or
+            '/tank.level > 0.9', which triggers when it becomes true; by default stale and error.
         after TIME: With --keep: continue recording for this time after a trigger.
         files N: With --keep: maximum number of saves.
-        repair FILE: Do not record: save the intact part of this file as --output.
+        repair FILE: Instead of recording, save the intact part of this file as --output.
         quiet: Print no progress.
         as_json: Print the result as JSON.
     """
@@ -103,7 +103,7 @@ def command(
         what = f"{compression!r} is not one of {', '.join(COMPRESSIONS)}"
         raise typer.BadParameter(what, param_hint="--compression")
     if keep is None and (trigger or after is not None):
-        raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
+        raise typer.BadParameter("requires --keep", param_hint="--trigger" if trigger else "--after")
     selection = Selection(tuple(topics or ()), tuple(exclude or ()))
     namespace, expected, qos, distro = Namespace(prefix or "rosplc", directory), None, {}, ""
     if (config := observed_config(config, prefix)) is not None:
@@ -114,7 +114,7 @@ def command(
         qos = {plan.topic: plan.qos for plan in project.topics}
         for plan in project.topics:
             if plan.classic is not None and plan.topic in selection:
-                warn(f"{plan.topic} is a classic topic, which has no channel: it is not recorded")
+                warn(f"{plan.topic} is a classic topic without a channel, so it is not recorded")
     base = Path("rosplc") if output is None else base_of(output)
     if output is None and keep is None:
         base = free_name(dated(base, time.time_ns()))
@@ -163,7 +163,7 @@ def _record(options: RecordingOptions, seconds: float, *, quiet: bool, as_json: 
             if recorder.result is not None:
                 _report(recorder, recorder.result, as_json=as_json)
     if recorder.result is not None and not recorder.result.received and not options.keep_ns:
-        raise RecordingError("REC004", "no message arrived", where=options.namespace.prefix)
+        raise RecordingError("REC004", "no message was received", where=options.namespace.prefix)
 
 
 def _leave_closed_terminal() -> None:
@@ -186,7 +186,7 @@ def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> N
         facts = {"path": str(done.path), "messages": done.messages, "topics": done.topics}
         print_json(facts | {"problem": done.problem, "damaged": done.damaged})
         return
-    say(f"{file}: {done.problem or 'nothing is wrong with it'}")
+    say(f"{file}: {done.problem or 'the file is intact'}")
     if done.damaged:
         say(f"{plural(done.damaged, 'damaged part')} left out")
     say(f"{done.path}: {plural(done.messages, 'message')} of {plural(len(done.topics), 'topic')} saved")
@@ -197,26 +197,26 @@ def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> Non
         warn(f"{name} is not recorded: {error.what} [{error.code}]")
     topics = list(recorder.inlet.counts)
     for pattern in options.selection.without_match(topics):
-        warn(f"there is no channel {pattern} yet; a matching channel is recorded once it exists")
+        warn(f"no channel matches {pattern} yet; a matching channel will be recorded when it appears")
     for trigger, topic in recorder.idle_triggers().items():
         why = f"{topic} is not recorded, so the trigger cannot fire"
         if topic in options.selection:
             why = f"there is no channel {topic} yet; the trigger cannot fire until it exists"
         warn(f"trigger {trigger!r}: {why}")
     if not topics:
-        warn(f"there is no channel with the prefix {options.namespace.prefix} yet; new channels are recorded")
+        warn(f"there is no channel with the prefix {options.namespace.prefix} yet; new ones will be recorded")
         found = find_objects(str(options.namespace.directory), seconds=0.0)
         if others := sorted({state.prefix for state in found}):
-            warn(f"there are channels with the prefix {', '.join(others)}: choose one with --prefix")
+            warn(f"channels exist with other prefixes ({', '.join(others)}): choose one with --prefix")
     if not quiet:
         what, kept = plural(len(topics), "topic"), f"keeping the last {options.keep_ns / 1e9:g} s of"
         kept += f" {what}; triggers: {', '.join(options.triggers)}"
-        warn(kept if options.keep_ns else f"recording {what}; Ctrl-C ends it")
+        warn(kept if options.keep_ns else f"recording {what}; stop with Ctrl-C")
 
 
 def _progress(recorder: Recorder) -> str:
     now = recorder.progress()
-    held = f", holds {now.span_ns / 1e9:.0f} s" if recorder.options.keep_ns else ""
+    held = f", {now.span_ns / 1e9:.0f} s in memory" if recorder.options.keep_ns else ""
     files = f", {plural(now.files, 'file')}" if now.files else ""
     what = f"{plural(now.received, 'message')} of {plural(now.topics, 'topic')}"
     return f"{now.seconds:.0f} s: {what}, {now.lost} lost, {in_bytes(now.size)}{held}{files}"
@@ -237,13 +237,13 @@ def _report(recorder: Recorder, result: Result, *, as_json: bool) -> None:
         say(f"{file.path}: {plural(sum(file.counts.values()), 'message')}, {in_bytes(file.size)}")
     if recorder.options.keep_ns:
         for reason in result.saves:
-            say(f"saved because of {reason}")
+            say(f"saved by trigger {reason}")
         if not result.saves:
-            say("no trigger fired: nothing was saved")
+            say("no trigger fired, so nothing was saved")
         if result.unsaved:
-            warn(f"{result.unsaved} triggers saved nothing: --files {recorder.options.most_files} is reached")
+            warn(f"not saved, because --files was reached: {plural(result.unsaved, 'trigger')}")
         if result.cut_short:
-            warn("--memory was full before --keep was reached: raise --memory, or exclude topics")
+            warn("--memory is too small for the time of --keep: raise --memory, or exclude topics")
     if result.lost:
         warn("messages were lost (gaps in sequence numbers): raise the topics' `slots`, or exclude topics")
 

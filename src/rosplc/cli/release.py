@@ -34,7 +34,7 @@ def command(
 
     Options:
         topic: The topic's ROS name.
-        prefix NAME: The bridge's `prefix:`; by default that of rosplc.yaml in this folder, else rosplc.
+        prefix NAME: The bridge's `prefix:`; by default that of `./rosplc.yaml`, else rosplc.
         yes: Do not ask.
     """
     namespace = bridge_namespace(prefix, directory)
@@ -51,7 +51,7 @@ def command(
         # Only a bridge writes there: its lock shows whether one is running.
         with OwnedChannel.take_over(namespace, attached) if to_plc else nullcontext():
             Writer(attached.region, attached.snapshot().writer.epoch, 1000).release()
-    say(f"the claim of {topic} was freed")
+    say(f"the claim on {topic} was freed")
 
 
 def _wait_for_silence(attached: Attached, topic: str) -> None:
@@ -63,6 +63,6 @@ def _wait_for_silence(attached: Attached, topic: str) -> None:
         if (now.epoch, now.beat, now.head) != (first.epoch, first.beat, first.head):
             who = f"process {now.pid}" if now.pid else "a PLC program"
             raise ChannelError(
-                "SHM114", f"{who} is still writing to it", where=topic, remedy="Stop that program first."
+                "SHM114", f"{who} is still writing", where=topic, remedy="Stop that program first."
             )
         time.sleep(_LOOK_S)

@@ -1,12 +1,12 @@
 """``rosplc reload``: tell a running bridge to read its configuration again.
 
-rosplc reload  —  the bridge of rosplc.yaml in this folder
+rosplc reload  —  reload the bridge of ./rosplc.yaml
 
 rosplc reload cell1.yaml  —  check this file, then tell its bridge to read it again
 
-rosplc reload --prefix line3  —  the bridge with this `prefix:`
+rosplc reload --prefix line3  —  reload the bridge with this `prefix:`
 
-A file with an error is not applied. The bridge logs the result. For a service: systemctl reload.
+A file with an error is not applied. The bridge logs the result. For a service, use `systemctl reload`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def command(
             "SHM101",
             f"no bridge with the prefix {prefix} is running on this machine",
             where=directory,
-            remedy="Start it with `rosplc run`; `rosplc status` lists the bridges of this machine. Reload "
+            remedy="Start it with `rosplc run`; `rosplc status` lists the bridges on this machine. Reload "
             "a bridge in a container from inside that container.",
         )
     for pid in pids:
@@ -53,9 +53,9 @@ def command(
             raise SetupError(
                 "SYS013",
                 f"this user is not permitted to signal the bridge (process {pid})",
-                remedy="Run this command as the bridge's user or with sudo; for a service: systemctl reload.",
+                remedy="Run this as the bridge's user or with sudo; for a service, use systemctl reload.",
             ) from error
-        say(f"The bridge with prefix {prefix} (process {pid}) is reloading its configuration; see its log.")
+        say(f"The bridge with prefix {prefix} (process {pid}) is reloading; its log shows the result.")
 
 
 def _handles_reload(pid: int) -> bool:

@@ -1,19 +1,19 @@
 """``rosplc replay``: a recording's messages again, into channels or onto ROS topics.
 
-rosplc replay shift.mcap --list  —  list its contents
+rosplc replay shift.mcap --list  —  list the contents of the file
 
 rosplc replay shift.mcap --to plc  —  into channels, to test a PLC program with recorded data
 
-rosplc replay shift.mcap --to plc --speed 0.5 --loop --start 30s --end 40s  —  ten seconds of it, slowly,
-repeated until Ctrl-C
+rosplc replay shift.mcap --to plc --speed 0.5 --loop --start 30s --end 40s  —  ten seconds of the file, at
+half speed, repeated until Ctrl-C
 
 rosplc replay robot.bag --to ros --topic /odom --rename /odom:=/test/odom  —  onto a ROS topic
 
-rosplc replay shift.mcap --to plc --config cell1.yaml --service /cell/start  —  also requests of a service
+rosplc replay shift.mcap --to plc --config cell1.yaml --service /cell/start  —  also send a service's requests
 
-It plays ROS 2 MCAP files and folders, and ROS 1 bags, even if they are truncated. With --to plc, it
-replaces the bridge, so no bridge may carry these topics at the same time. Messages are stamped with the
-time at which they are sent; `--stamps original` keeps the recorded stamps.
+The command plays ROS 2 MCAP files and folders, and ROS 1 bags, even if they are truncated. With --to plc,
+it replaces the bridge, so no bridge may carry these topics at the same time. By default, messages are
+stamped with the time of sending; `--stamps original` keeps the recorded stamps.
 """
 
 from __future__ import annotations
@@ -77,26 +77,26 @@ def command(
     directory: Directory = "/dev/shm",
     as_json: bool = False,
 ) -> None:
-    """Replay a recording into channels or onto ROS topics, in the recorded order and at the recorded pace.
+    """Replay a recording into channels or onto ROS topics, with the recorded order and timing.
 
     Options:
         file: An .mcap or .bag file, or the folder of a ROS 2 recording.
-        to plc|ros: Into channels, or onto ROS topics.
+        to plc|ros: Send messages to channels, or to ROS topics.
         listing: List the contents of the file, and play nothing.
-        topic TOPIC: Only these topics or patterns; may be repeated.
-        exclude TOPIC: Topics or patterns to leave out.
+        topic TOPIC: Play only this topic or pattern; may be repeated.
+        exclude TOPIC: Leave out this topic or pattern; may be repeated.
         service SERVICE: Also send the recorded requests of this service; may be repeated.
         action ACTION: Also send the recorded goals of this action; may be repeated.
         rename OLD:=NEW: Play a topic under another name.
-        speed FACTOR: 0.5 for half speed, 2 for double speed, or `max`.
+        speed FACTOR: The speed: 0.5 for half speed, 2 for double speed, or `max`.
         loop: Repeat until Ctrl-C.
         start TIME: Skip this much at the beginning, such as 30s.
-        end TIME: End this long after the beginning of the recording.
+        end TIME: Stop this long after the beginning of the recording.
         stamps now|original: Stamp messages with the current time, or with their recorded time.
         wait TIME: How long to wait for a reader of each topic before starting anyway.
         prefix NAME: With --to plc: the channels' prefix, instead of the configuration's.
-        config FILE: With --to plc: a configuration with prefix, limits and slots; without --prefix,
-            rosplc.yaml in this folder by default.
+        config FILE: With --to plc: the configuration for prefix, limits and slots; without --prefix,
+            by default `./rosplc.yaml`.
         backend NAME: With --to ros: the ROS backend, as in `ros.backend`.
         distro NAME: The ROS distribution; by default the recording's, else ROS_DISTRO.
         quiet: Print no progress.
@@ -137,7 +137,7 @@ def _options(
     except ValueError:
         factor = -1.0
     if speed != "max" and not 1e-3 <= factor <= 1e6:
-        raise typer.BadParameter(f"{speed!r} is neither max nor from 0.001 to 1e6", param_hint="--speed")
+        raise typer.BadParameter("must be max or a number from 0.001 to 1e6", param_hint="--speed")
     begin, finish = duration(start, "--start"), duration(end, "--end")
     if finish and finish <= begin:
         raise typer.BadParameter("must be after --start", param_hint="--end")
@@ -204,11 +204,11 @@ def _play(file: Path, player: Player, patience: float, *, quiet: bool, as_json: 
         with stop_on_signals(lambda _: None) as stop:
             missing = wait_for_readers(target, patience, partial(pause, stop))
             if missing and patience and not quiet:
-                warn(f"no reader yet for {', '.join(missing)}; the replay begins anyway")
+                warn(f"no reader was found for {', '.join(missing)}; starting anyway")
             if not quiet:
                 pace = "as fast as possible"
                 if options.speed:
-                    pace = f"at {options.speed:g} times the recorded speed"
+                    pace = f"at {options.speed:g}× the recorded speed"
                 kind = "the current time" if options.stamps == "now" else "their recorded time"
                 warn(f"playing {file}, {pace}; messages are stamped with {kind}")
             try:
@@ -248,7 +248,7 @@ def _report(player: Player, *, as_json: bool) -> None:
         if player.options.speed:
             say(f"the longest delay was {player.latest_ns / 1e6:.1f} ms")
         if player.disordered:
-            warn(f"{plural(player.disordered, 'message')} out of order in the file, so sent immediately")
+            warn(f"sent immediately, because out of order: {plural(player.disordered, 'message')}")
     if any(one.refused or one.lost for one in counts.values()) or not sent:
         raise typer.Exit(EXIT_FAILURE)
 

@@ -76,13 +76,13 @@ class _Node:
     def __exit__(self, *_: object) -> None:
         self.backend.close()
 
-    def type_of(self, topic: str, named: str | None) -> str:
+    def type_of(self, topic: str, named: str | None, hint: str = "") -> str:
         """Return the full name of a topic's type, asked for or seen in the graph; it is known then."""
         if named is None:
             types = self.graph(topic).topics.get(topic, ())
             if len(types) != 1:
-                seen = f"has several types: {', '.join(types)}" if types else "was not seen in the graph"
-                raise typer.BadParameter(f"{topic} {seen}; add the type after the topic", param_hint="TOPIC")
+                seen = f"has several types: {', '.join(types)}" if types else "was not found in the ROS graph"
+                raise typer.BadParameter(f"{topic} {seen}{hint}", param_hint="TOPIC")
             named = types[0]
         name = full_name(named)
         learn(self.definitions, self.backend, topic, name)
@@ -123,16 +123,16 @@ def _list(
     types: _Types = None,
     as_json: bool = False,
 ) -> None:
-    """List the topics of the ROS graph, or its services or actions.
+    """List the topics, services or actions in the ROS graph.
 
     Options:
         show_types: Also print the types.
         count_topics: Print only the number of topics.
         services: List services instead.
-        actions: List actions of ROS 2 instead.
+        actions: List ROS 2 actions instead.
     """
     if services and actions:
-        raise typer.BadParameter("list services or actions, not both", param_hint="--services")
+        raise typer.BadParameter("use --services or --actions, not both", param_hint="--services")
     with _Node(backend, distro, domain, types) as node:
         graph = node.graph()
     topics = _calls(graph.services, actions) if services or actions else graph.topics
@@ -174,14 +174,14 @@ def _echo(
 
     Options:
         topic: The topic's name.
-        message_type: Its type; by default from the ROS graph.
-        once: Print the first message and end.
-        field PATH: Print this field only.
+        message_type: The topic's type; by default from the ROS graph.
+        once: Print the first message and exit.
+        field PATH: Print only this field.
         full_length: Print long arrays and strings in full.
         as_json: Print one JSON document per line.
     """
     with _Node(backend, distro, domain, types) as node:
-        type_name = node.type_of(topic, message_type)
+        type_name = node.type_of(topic, message_type, "; specify its type after its name")
         with node.messages(topic, type_name) as arrived:
             while True:
                 _, data = _next(arrived)
@@ -213,7 +213,7 @@ def _hz(
     domain: _Domain = None,
     types: _Types = None,
 ) -> None:
-    """Print the rate at which a ROS topic's messages arrive, every second.
+    """Print the message rate of a ROS topic every second.
 
     Options:
         topic: The topic's name.
@@ -265,15 +265,15 @@ def _pub(
 
     Options:
         topic: The topic's name.
-        message_type: Its type, such as geometry_msgs/msg/Twist.
-        values: Fields as YAML; omitted fields have their defaults.
-        once: Publish one message and end.
-        times: Publish this many messages and end.
-        wait_matching_subscriptions: Wait for this many subscribers; by default 1 with --once and --times,
+        message_type: The topic's type, such as geometry_msgs/msg/Twist.
+        values: Fields as YAML; omitted fields have their default values.
+        once: Publish one message and exit.
+        times: Publish this many messages and exit.
+        wait_matching_subscriptions: Wait for this many subscribers; by default 1 with --once or --times,
             else 0.
         qos_reliability: `reliable` or `best_effort`.
         qos_durability: `volatile` or `transient_local`.
-        qos_depth: The most messages that may wait.
+        qos_depth: Maximum number of queued messages.
     """
     try:
         given = yaml.safe_load(values) or {}
@@ -309,10 +309,10 @@ def _pub(
             time.sleep(max(0.0, due - time.monotonic()))
 
 
-LIST = SimpleNamespace(command=_list, __doc__=f"\n\nrosplc list -t  —  every topic with its type{_EPILOG}")
+LIST = SimpleNamespace(command=_list, __doc__=f"\n\nrosplc list -t  —  list topics with their types{_EPILOG}")
 ECHO = SimpleNamespace(
-    command=_echo, __doc__=f"\n\nrosplc echo /cmd_vel --once  —  the next message{_EPILOG}"
+    command=_echo, __doc__=f"\n\nrosplc echo /cmd_vel --once  —  print the next message{_EPILOG}"
 )
-HZ = SimpleNamespace(command=_hz, __doc__=f"\n\nrosplc hz /scan  —  every second until Ctrl-C{_EPILOG}")
-_TWIST = "rosplc pub -r 10 /cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.5}}'  —  ten per second"
+HZ = SimpleNamespace(command=_hz, __doc__=f"\n\nrosplc hz /scan  —  print the rate until Ctrl-C{_EPILOG}")
+_TWIST = "rosplc pub -r 10 /cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.5}}'  —  ten messages per second"
 PUB = SimpleNamespace(command=_pub, __doc__=f"\n\n{_TWIST}{_EPILOG}")

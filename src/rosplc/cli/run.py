@@ -1,16 +1,16 @@
 """``rosplc run``: carry the topics of a configuration until told to stop.
 
-rosplc run  —  carry the topics of rosplc.yaml; Ctrl-C or SIGTERM ends it
+rosplc run  —  carry the topics of rosplc.yaml until Ctrl-C or SIGTERM
 
 rosplc run rosplc.yaml --status 2  —  with a status line every two seconds
 
 rosplc run rosplc.yaml --ros-args -r __ns:=/robot1 -r /cmd_vel:=/base/cmd_vel  —  ROS arguments, as for any
 ROS program; in ROS 1 `__ns:=/robot1 /cmd_vel:=/base/cmd_vel`
 
-`rosplc reload` applies a changed file; a file with an error changes nothing. Closing the terminal ends
+`rosplc reload` applies a changed file; a file with an error changes nothing. Closing the terminal stops
 the bridge.
 
-The objects in shared memory remain when the bridge ends: a running PLC keeps its last values, and the
+The objects in shared memory remain when the bridge stops: a running PLC keeps its last values, and the
 next start reuses the objects. `rosplc clean` removes them.
 """
 
@@ -60,9 +60,9 @@ def command(
     """Run the bridge in the foreground; logs go to stderr.
 
     Options:
-        status SECONDS: Time between two status lines; 0 for none.
+        status SECONDS: Time between two status lines; 0 prints none.
         verbose: Also log debug messages.
-        quiet: Log warnings and errors only.
+        quiet: Log only warnings and errors.
     """
     arguments = RosArguments.parse(given_to(context))
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO

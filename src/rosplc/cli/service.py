@@ -2,14 +2,14 @@
 
 rosplc service install cell1 --dry-run  —  show every file and command for /etc/rosplc/cell1.yaml
 
-rosplc service install cell1  —  write them, and start the bridge at every boot
+rosplc service install cell1  —  install the service, so that the bridge starts at every boot
 
-rosplc service status  —  list the bridges that are services, with their status
+rosplc service status  —  list the bridges installed as services, with their status
 
-rosplc service uninstall cell1  —  stop it, and remove its files; keep user, configuration and objects
+rosplc service uninstall cell1  —  stop and remove the service; keep the user, configuration and objects
 
-Installing and removing needs root. The service runs as its own user, without capabilities. If the
-configuration has `realtime:`, the service also gets the limits that these settings need.
+Installing and removing a service requires root. The service runs as a dedicated user, without capabilities.
+If the configuration has `realtime:`, the service also gets the limits that these settings need.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def command(
 
     Options:
         what WHAT: `install`, `uninstall` or `status`.
-        name: The service's name; by default that of the configuration file.
+        name: The service's name; by default the name of the configuration file.
         config FILE: The configuration; /etc/rosplc/NAME.yaml by default.
         user NAME: The user that runs the bridge; created if missing.
         root DIR: Install into this folder instead of /, to prepare a machine image.
@@ -68,7 +68,7 @@ def command(
         raise SetupError(
             "SYS011",
             f"only root may {what} a service",
-            remedy="Run it with sudo; --dry-run shows what would be done, and needs no privileges.",
+            remedy="Run this command with sudo. --dry-run shows the steps and needs no privileges.",
         )
     notes: tuple[str, ...] = ()
     if what == "install":

@@ -6,13 +6,13 @@ rosplc show /cmd_vel  —  the newest message of a topic
 
 rosplc show /cmd_vel --follow  —  every message from now on
 
-rosplc show /gripper/close --header  —  for a service or action: the last request and response
+rosplc show /gripper/close --header  —  the last request and response of a service or action
 
 rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
 
-rosplc show --config cell.yaml  —  also this file's classic topics, which cannot describe themselves
+rosplc show --config cell.yaml  —  also this file's classic topics, which do not describe themselves
 
-Channels need no configuration. The command needs no ROS, only read access, and affects no other program.
+Channels need no configuration. The command needs only read access (no ROS) and affects no other program.
 """
 
 from __future__ import annotations
@@ -58,18 +58,18 @@ def command(
     as_json: bool = False,
     directory: Directory = "/dev/shm",
 ) -> None:
-    """Show the message in a topic's shared memory, or list all channels of this machine.
+    """Show the message in a topic's shared memory, or list all channels on this machine.
 
     Options:
         topic: The ROS name of the topic, service or action, such as /cmd_vel; by default all channels.
         prefix NAME: The bridge's `prefix:`; by default the configuration's, else `rosplc`; without a
             topic, every prefix.
         follow: Print messages until Ctrl-C.
-        count N: Print this many new messages, then end.
+        count N: Print this many new messages, then exit.
         header: Also print the object's counters.
-        timeout SECONDS: Give up when no message arrives for this time.
-        config FILE: A configuration, for prefix and classic topics; without --prefix, rosplc.yaml
-            in this folder by default.
+        timeout SECONDS: Give up if no message arrives within this time.
+        config FILE: The configuration for prefix and classic topics; without --prefix,
+            by default `./rosplc.yaml`.
         as_json: Print JSON.
     """
     classic, own = [], prefix
@@ -224,7 +224,7 @@ def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: s
         what = f"{topic} has no channel, but /dev/shm/{name} exists and may belong to a classic topic"
         remedy = "A classic topic does not describe itself: specify its configuration with --config FILE."
         return ChannelError(error.code, what, where=error.where, remedy=remedy)
-    what = f"no channel {topic} with the prefix {prefix or 'rosplc'}"
+    what = f"there is no channel {topic} with the prefix {prefix or 'rosplc'}"
     remedy = f"This channel exists with the prefix {', '.join(others)}: add --prefix {others[0]}."
     return ChannelError(error.code, what, where=error.where, remedy=remedy)
 

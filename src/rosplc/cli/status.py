@@ -1,17 +1,17 @@
 """``rosplc status``: every channel of every bridge on this machine, once, and whether anything is wrong.
 
-rosplc status  —  every channel, and what is wrong; in a folder with rosplc.yaml, the channels of its bridge
+rosplc status  —  every channel, and any problems; in a folder with rosplc.yaml, the channels of its bridge
 
-rosplc status --config cell.yaml  —  the bridge of a configuration, judged by its settings
+rosplc status --config cell.yaml  —  the bridge of a configuration, checked against its settings
 
 rosplc status --json | jq '.channels[] | select(.state != "ok") | .topic'
 
-rosplc status --follow  —  then print events, one per line, until Ctrl-C
+rosplc status --follow  —  also print events, one per line, until Ctrl-C
 
-It watches for about a second; if a heartbeat is missing, for three heartbeat periods (usually three
-seconds), and longer if a bridge is starting. It needs no configuration and no ROS, only read access, and
-affects no other program. The exit status is 0 if there are channels and none has a problem, and 1
-otherwise. In JSON, `worst` is null if there are no channels.
+The command watches for about a second; if a heartbeat is missing, for three heartbeat periods (usually three
+seconds), and longer if a bridge is starting. It requires only read access (no configuration, no ROS) and
+affects no other program. The exit status is 0 if there are channels and none has a problem, and 1 otherwise.
+In JSON, `worst` is null if there are no channels.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _print_calls(picture: Picture, several: bool) -> None:
         name = f"{view.topic} {view.client}".rstrip()
         row = [state_text(worst), view.kind, name, way, count_text(calls), newest, ended or "-"]
         rows.append([*row, plc_text(view), view.prefix])
-    header = ["  state", "kind", "name", "way", "calls", "newest call", "ended lately", "PLC", "prefix"]
+    header = ["  state", "kind", "name", "way", "calls", "newest call", "recently ended", "PLC", "prefix"]
     _table(rows, header, several)
 
 

@@ -1,13 +1,13 @@
 """``rosplc top``: every channel of every bridge on this machine, live in the terminal.
 
-rosplc top  —  every channel of this machine; Enter shows the message with live values, ? explains
+rosplc top  —  every channel on this machine; Enter shows the message with live values, ? shows help
 
-rosplc top --config cell.yaml  —  judged by the configuration, with its classic topics
+rosplc top --config cell.yaml  —  apply the settings of a configuration, and include its classic topics
 
 rosplc top --interval 2  —  update every two seconds, over a slow connection
 
-It needs no configuration and no ROS, only read access, and affects no other program. It works over ssh.
-It needs 60 columns and 20 rows, and `pip install 'rosplc[views]'`. For scripts, use `rosplc status`.
+It requires only read access (no configuration, no ROS), affects no other program, and works over ssh. It
+needs 60 columns and 20 rows. To install: `pip install 'rosplc[views]'`. In scripts, use `rosplc status`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def command(
     interval: Annotated[float, Between(0.1, 60.0)] = 0.5,
     directory: Directory = "/dev/shm",
 ) -> None:
-    """Watch every channel of this machine in the terminal: rates, ages, losses, live peers, values.
+    """Watch all channels on this machine in the terminal: rates, ages, losses, values, connected programs.
 
     Options:
         interval SECONDS: Time between two updates.
@@ -60,5 +60,5 @@ def _check_terminal() -> None:
         if not getattr(sys, name).isatty():
             raise SetupError("SYS012", f"{name} is not a terminal")
     if os.environ.get("TERM", "") in ("", "dumb", "unknown"):
-        what = f"the terminal can only print lines (TERM={os.environ.get('TERM', '')})"
+        what = f"the terminal cannot move the cursor (TERM={os.environ.get('TERM', '')})"
         raise SetupError("SYS012", what)

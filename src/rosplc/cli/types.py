@@ -1,10 +1,10 @@
 """``rosplc types``: which messages, services and actions there are, and how one looks in the PLC.
 
-rosplc types  —  all types of rosplc.yaml in this folder, else of the distribution jazzy
+rosplc types  —  all types of ./rosplc.yaml, else of jazzy
 
 rosplc types sensor_msgs  —  the types of a package
 
-rosplc types geometry_msgs/Twist  —  its fields, offsets and IEC types
+rosplc types geometry_msgs/Twist  —  the fields, offsets and IEC types of a message
 
 rosplc types sensor_msgs/JointState --limits name=6 --limits position=6
 
@@ -51,13 +51,13 @@ def command(
     distros: bool = False,
     as_json: bool = False,
 ) -> None:
-    """List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
+    """List the known message, service and action types, or show the fields and sizes of one type.
 
     Options:
         name [TYPE]: A type, `package/Name` or `package/msg/Name` (`srv`, `action`), or a package; by
             default all types.
-        distro NAME: The ROS distribution whose definitions apply; `noetic` is ROS 1; by default that of
-            rosplc.yaml in this folder, with its `types.paths`, else jazzy.
+        distro NAME: The ROS distribution whose definitions apply; `noetic` is ROS 1. By default, distribution
+            and `types.paths` of `./rosplc.yaml`, else jazzy.
         path FOLDER: A folder with custom .msg, .srv and .action files; may be repeated.
         limits FIELD=N: A capacity: `string=40`, `sequence=8`, or a field's path (`request.FIELD` of a
             service); may be repeated.
@@ -83,7 +83,7 @@ def command(
             raise typer.BadParameter("must be a number from 0 to 3600", param_hint="--timeout")
         store, name, wire = _ask(from_topic, save, timeout)
     elif save is not None:
-        raise typer.BadParameter("needs --from-topic", param_hint="--save")
+        raise typer.BadParameter("requires --from-topic", param_hint="--save")
     else:
         folders = list(path or ())
         if distro is None and (file := default_config()) is not None:
@@ -105,7 +105,7 @@ def command(
             for text in dict.fromkeys(
                 f"{each.where}: {each.what} [{each.code}]" for each in store.problems()
             ):
-                warn(f"not usable: {text}")
+                warn(f"cannot be used: {text}")
         return
     full, given = store.resolve(name), parse_limits(limits or [])
     if parts := _parts(store, full):

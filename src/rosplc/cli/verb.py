@@ -138,7 +138,7 @@ def _report(failure: Exception, *, as_json: bool) -> int:
         if os.environ.get("ROSPLC_DEBUG"):
             raise failure
         what = f"{type(failure).__name__}: {failure}"
-        remedy = "This is a bug in rosplc. Set ROSPLC_DEBUG=1 to get the traceback, and report it."
+        remedy = "This is a bug in rosplc. Set ROSPLC_DEBUG=1 to get a traceback, and report the bug."
         text = f"rosplc: unexpected error: {harmless(what)}\n  remedy: {remedy}\n"
         document = {"error": {"code": "", "what": what, "where": "", "remedy": ""}}
         sys.stderr.write(json.dumps(document) + "\n" if as_json else text)

@@ -1,18 +1,18 @@
 """``rosplc web``: a page that shows this machine's channels in a browser.
 
-rosplc web  —  then open the printed address on this machine
+rosplc web  —  start the server; then open the printed address on this machine
 
-ssh -t -L 8480:localhost:8480 MACHINE rosplc web  —  the page of another machine, at the same local address
+ssh -t -L 8480:localhost:8480 MACHINE rosplc web  —  view another machine at the same local address
 
-rosplc web --config cell.yaml  —  judged by the configuration, with its classic topics
+rosplc web --config cell.yaml  —  apply the settings of a configuration, and include its classic topics
 
 rosplc web --allow-write  —  allow anyone who has the printed token to write test messages
 
 rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable from the network, with your own token
 
-It needs no configuration and no ROS, only read access, and affects no other program. Anyone who can open the
-page sees every message that the user who started the server may read. Nothing is encrypted: do not use --bind
-on an untrusted network. It needs `pip install 'rosplc[views]'`.
+The command requires only read access (no configuration, no ROS) and affects no other program. Anyone who can
+open the page sees every message that the user who started the server may read. Nothing is encrypted: do not
+use --bind on an untrusted network. To install: `pip install 'rosplc[views]'`.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ def command(
 
     Options:
         port: The port; 0 for any free port.
-        bind ADDRESS: The address to listen on; `0.0.0.0` for every network.
+        bind ADDRESS: The address to listen on; `0.0.0.0` for all networks.
         name HOST: A host name that browsers use for this server; may be repeated.
         allow_write: Let users with the token write test messages.
-        token_file FILE: A file that contains the token; by default one is created and printed.
+        token_file FILE: A file that contains the token; by default, a new token is printed.
         token_to_view: Require the token to view anything, even on loopback.
         as_json: Print address and token as JSON.
     """
@@ -118,4 +118,4 @@ def _introduce(settings: Settings, url: str, *, from_file: Path | None) -> None:
         what = "view" if not settings.allow_write else "view and write" if settings.token_to_view else "write"
         place = "is part of the address" if from_file is None else f"is in {from_file}"
         say(f"The token is required to {what}; it {place}.")
-    say("Ctrl-C ends it.")
+    say("Stop with Ctrl-C.")

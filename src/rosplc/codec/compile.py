@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 
 class Wire(enum.Enum):
-    """How a message is laid out on the wire; the values are those in a plan's head.
+    """The format of messages on the wire; a plan's head contains these values.
 
-    ``CDR`` is ROS 2: plain CDR version 1 behind a 4-byte encapsulation header, either byte
-    order read, little-endian written (OMG DDS-XTypes 1.3, section 7.4.1). ``ROS1`` is what
-    ROS 1 sends: little-endian without any alignment.
+    ``CDR`` is the format of ROS 2: plain CDR version 1 after a 4-byte encapsulation header (OMG
+    DDS-XTypes 1.3, section 7.4.1). Both byte orders are read; little-endian is written. ``ROS1``
+    is the format of ROS 1: little-endian without alignment.
     """
 
     CDR = 0
@@ -255,7 +255,7 @@ class _OpList:
 
     def _loop(self, op: Op, element: Node, path: str) -> None:
         if self._loops == MAX_LOOPS:
-            raise MessageTypeError("TYP007", f"sequences are nested deeper than {MAX_LOOPS}", where=path)
+            raise MessageTypeError("TYP007", f"sequences are nested more than {MAX_LOOPS} deep", where=path)
         self._add(op)
         start = len(self.ops)
         self._forget_position()
@@ -308,10 +308,10 @@ TRUNCATED = 2  # Bit of the flags: something was cut off to fit (spec/shm-format
 
 
 class Codec:
-    """Turns messages of one type and wire into records of one layout, and back.
+    """Converts messages in one wire format to records of one layout, and back.
 
-    Without ``wire`` it is that of the layout's ROS. ``plan`` is what the C core executes; groups take it, and
-    ``publish_wire``. Raises MessageTypeError TYP007 for sequences nested deeper than the executor goes.
+    By default, ``wire`` is the format of the layout's ROS version. ``plan`` is the plan that the C core
+    executes. Raises MessageTypeError TYP007 if sequences are nested too deeply.
     """
 
     def __init__(self, layout: Layout, wire: Wire | None = None) -> None:
@@ -323,9 +323,9 @@ class Codec:
         self._ops = compiled.ops
 
     def decode(self, data: ReadableBuffer, *, truncate: bool = False) -> bytes:
-        """Return the record of a whole message, for CDR with its 4-byte encapsulation header.
+        """Return the record of a complete message; in CDR, the message includes its encapsulation header.
 
-        ``truncate`` cuts strings and sequences that do not fit, instead of refusing the message. Raises
+        With ``truncate``, strings and sequences that do not fit are truncated instead of refused. Raises
         CodecError COD001 to COD008, with the field's path, the size and the limit.
         """
         try:
@@ -336,8 +336,8 @@ class Codec:
     def decode_into(self, data: ReadableBuffer, out: WriteableBuffer, *, truncate: bool = False) -> int:
         """Write the record of a message to ``out`` and return its flags (``TRUNCATED`` or 0).
 
-        Every byte of ``out`` is written; after an error it holds anything. Raises CodecError as
-        :meth:`decode`; COD009 if ``out`` is not exactly a record long.
+        Every byte of ``out`` is written; after an error, its contents are undefined. Raises the errors of
+        :meth:`decode`, and COD009 if ``out`` is not the size of a record.
         """
         try:
             return self.plan.decode_into(data, out, truncate)
@@ -345,13 +345,13 @@ class Codec:
             raise self.explain(fault) from None
 
     def encode(self, record: ReadableBuffer) -> bytes:
-        """Return the message of a record, little-endian.
+        """Return the little-endian message of a record.
 
-        CDR comes with its 4-byte encapsulation header and is padded to a multiple of 4 bytes, as
-        DDS wants it. Every record gives a message: counts above a capacity read as
-        the capacity, a string without NUL has its full capacity, every bool but 0 is 1.
+        A CDR message has a 4-byte encapsulation header and is padded to a multiple of 4 bytes, as
+        DDS requires. Every record yields a message: a count above the capacity is read as the
+        capacity, a string without NUL fills its capacity, and any bool other than 0 is 1.
 
-        Raises CodecError: COD009 if ``record`` is not exactly a record long.
+        Raises CodecError: COD009 if ``record`` is not the size of a record.
         """
         try:
             return self.plan.encode(record)

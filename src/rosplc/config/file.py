@@ -53,7 +53,7 @@ class Config:
         """Return a task's name, without one the first; note at a key path that there is none of this name."""
         tasks = self.settings.tasks
         if asked is not None and asked not in tasks:
-            problems.wrong(self.source, key, f"task {asked!r} is not defined; known: {', '.join(tasks)}")
+            problems.wrong(self.source, key, f"task {asked!r} is not defined; tasks: {', '.join(tasks)}")
         return asked or next(iter(tasks))
 
     @classmethod
@@ -85,7 +85,7 @@ def json_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
         "title": "rosplc configuration",
-        "description": "A bridge between ROS topics and a soft-PLC.",
+        "description": "The configuration of a bridge between ROS topics and a soft-PLC.",
     }
 
 
@@ -239,7 +239,7 @@ _FOLDERS = {"services": "/srv/", "actions": "/action/"}
 _MISSING = {
     "to": "Add `to: plc` for messages from ROS to the PLC, or `to: ros` for the other direction.",
     "type": "Add `type: package/msg/Name`; `rosplc types` lists the types.",
-    "server": "Add `server: ros` if the PLC is a client, or `server: plc` if the PLC is the server.",
+    "server": "Add `server: ros` if the PLC is the client, or `server: plc` if the PLC is the server.",
 }
 _SHAPES = {
     "model_type": "a group of keys",

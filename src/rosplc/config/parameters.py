@@ -55,10 +55,10 @@ def parameters_plan(config: Config, store: TypeStore, problems: Problems) -> Par
         field = re.sub(r"_+", "_", name.replace(".", "_").lower()).rstrip("_")
         same = next((other for other, known in fields.items() if known == field), "")
         if same:
-            problems.wrong(config.source, (*key, name), f"{name} and {same} both become {field} in the PLC")
+            problems.wrong(config.source, (*key, name), f"{name} and {same} are both {field} in the PLC")
         above = next((other for other in asked.declare if name.startswith(f"{other}.")), "")
         if above and store.ros_version == 1:
-            problems.wrong(config.source, (*key, name), f"in ROS 1, parameter {above} cannot be a namespace")
+            problems.wrong(config.source, (*key, name), f"in ROS 1, {above} cannot also be a namespace")
         fields[name] = field
         most, longest = entry.capacity or settings.limits.sequence, entry.length or settings.limits.string
         if entry.type.endswith("_array"):
@@ -95,7 +95,7 @@ def _parameter(name: str, entry: ParameterSettings, most: int, longest: int) -> 
     span: tuple[float, float, float] | None = None
     if entry.range is not None:
         if entry.type not in ("integer", "double"):
-            raise ValueError(f"a {entry.type} cannot have a range")
+            raise ValueError(f"a parameter of type {entry.type} cannot have a range")
         least, greatest, step = (converted(entry.type, each) for each in (*entry.range, 0)[:3])
         if not least <= greatest or step < 0:
             raise ValueError(f"the range {list(entry.range)} is empty or has a negative step")

@@ -64,7 +64,7 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
         what = f"the name {name!r} begins with {settings.prefix}., which is reserved for the bridge's objects"
         raise config.source.wrong(key, what, "Set another name with classic: {name: …}.")
     if settings.shm.directory != "/dev/shm":
-        what = "classic topics, like their semaphores, must be in /dev/shm, but shm.directory is "
+        what = "classic topics and their semaphores must be in /dev/shm, but shm.directory is "
         raise config.source.wrong(key, what + settings.shm.directory)
     poll = settings.tick_ns
     if not passes_changes_only(entry) and entry.to == "ros":
@@ -117,7 +117,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     if entry.to == "plc":
         if asked.period_ns is not None:
             what = "a PLC block provides the value in every scan, so period has no effect"
-            raise wrong(what, "Remove it.", (*key, "period"))
+            raise wrong(what, "Remove period.", (*key, "period"))
         return StalePlan("value", asked.value, record)
     if asked.period_ns is None:
         raise wrong("'period' is missing", "Add the interval between messages, such as period: 100ms.")
@@ -125,7 +125,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
         raise wrong(f"{format_duration(asked.period_ns)} is below the minimum, 1ms", at=(*key, "period"))
     if flag_topic(topic) in config.settings.topics:
         what = f"{flag_topic(topic)} is reserved: it shows whether messages on {topic} are substitutes"
-        raise wrong(what, "Rename the configured topic.")
+        raise wrong(what, "Rename that topic in the configuration.")
     return StalePlan("substitute", asked.value, record, asked.period_ns)
 
 
@@ -160,9 +160,9 @@ def checked_record(
     for path, item in _leaves(value, ()):
         # In Structured Text there is no way to write these.
         if isinstance(item, float) and not math.isfinite(item):
-            raise config.source.wrong((*key, *path), f"{item} is not a number")
+            raise config.source.wrong((*key, *path), f"{item} is not a finite number")
         if isinstance(item, str) and not item.isprintable():
-            raise config.source.wrong((*key, *path), f"{item!r} contains characters that cannot be printed")
+            raise config.source.wrong((*key, *path), f"{item!r} contains non-printable characters")
     return record
 
 
@@ -350,23 +350,23 @@ def _contradictions(
         problems.wrong(config.source, (*path, *key), *what)
 
     if any(part in _RESERVED for part in str(path[1]).split("/")):
-        what = f"names with {' or '.join(_RESERVED)} are reserved by ROS"
+        what = f"names that contain {' or '.join(_RESERVED)} are reserved by ROS"
         wrong((), what, "Choose another name.")
     config.task(entry.task, (*path, "task"), problems)
     for client, use in entry.clients.items():
         config.task(use.task, (*path, "clients", client, "task"), problems)
     if entry.server == "plc" and entry.clients:
         what = "with `server: plc`, the clients are in ROS"
-        wrong(("clients",), what, "Remove it, or write `server: ros`.")
+        wrong(("clients",), what, "Remove clients, or write `server: ros`.")
     for name in sorted(plan.only[other] & entry.model_fields_set):
         name = name.removesuffix("_ns")
-        wrong((name,), f"{name} applies only to `server: {other}`", "Remove it.")
+        wrong((name,), f"{name} applies only to `server: {other}`", f"Remove {name}.")
     if isinstance(entry, ServiceSettings):
         if entry.per_client is not None and entry.per_client > entry.depth:
-            wrong(("per_client",), f"{entry.per_client} exceeds depth, which is {entry.depth}")
+            wrong(("per_client",), f"per_client exceeds depth, which is {entry.depth}")
     elif entry.queue is not None and entry.server == "plc" and entry.on_new_goal != "buffer":
-        what = f"with `on_new_goal: {entry.on_new_goal}`, no goal waits"
-        wrong(("queue",), what, "Remove it, or write `on_new_goal: buffer`.")
+        what = f"queue has no effect with `on_new_goal: {entry.on_new_goal}`"
+        wrong(("queue",), what, "Remove queue, or write `on_new_goal: buffer`.")
     seen: dict[str, str] = {}
     for client in entry.clients:
         if (before := seen.setdefault(client.lower(), client)) != client:
@@ -390,8 +390,8 @@ def _layouts(
         if word in own and inner:
             own[word][inner] = capacity
         elif name not in ("string", "sequence"):
-            what = f"{name!r} is not a field of a {' or '.join(words)}"
-            remedy = f"Write {' or '.join(f'{word}.FIELD' for word in words)}, or string or sequence."
+            what = f"{name!r} is not a field of the {', '.join(words[:-1])} or {words[-1]}"
+            remedy = f"Write {', '.join(f'{word}.FIELD' for word in words)}, string or sequence."
             problems.wrong(config.source, (*path, "limits", name), what, remedy)
     found = {}
     for word, message in messages.items():

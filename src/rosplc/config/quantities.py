@@ -20,7 +20,7 @@ def _split(value: Any, example: str, units: Iterable[str]) -> tuple[Fraction, st
     if not match:
         raise ValueError(f"{value!r} should be a number with a unit, such as {example}")
     if match[2] not in units:
-        raise ValueError(f"{value!r} has an unknown unit, {match[2]!r}; use {', '.join(units)}")
+        raise ValueError(f"{value!r} has an unknown unit, {match[2]!r}; use one of {', '.join(units)}")
     return Fraction(match[1]), match[2]
 
 
@@ -60,7 +60,7 @@ def parse_mode(value: Any) -> int:
     mode = int(value[-3:], 8)
     if mode & 0o600 != 0o600:
         raise ValueError(
-            f'{value!r} denies the owner, the bridge, read or write access; use a mode such as "0660"'
+            f'{value!r} denies the bridge read or write access to its objects; use a mode such as "0660"'
         )
     if mode & 0o111:
         raise ValueError(

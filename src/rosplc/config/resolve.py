@@ -107,30 +107,30 @@ class Project:
     config: Config  # the settings and their file
     store: TypeStore  # the message types
     namespace: Namespace  # the names of the objects
-    topics: tuple[TopicPlan, ...]  # in the order of the file
-    services: tuple[ServicePlan, ...] = ()  # one plan for each use, in the order of the file
-    actions: tuple[ActionPlan, ...] = ()  # the same
-    parameters: ParametersPlan | None = None  # their two topics are the last of ``topics``
+    topics: tuple[TopicPlan, ...]  # one plan per topic, in the file's order
+    services: tuple[ServicePlan, ...] = ()  # one plan per use
+    actions: tuple[ActionPlan, ...] = ()  # one plan per use
+    parameters: ParametersPlan | None = None  # the last two of ``topics`` belong to them
 
     @property
     def calls(self) -> tuple[CallPlan, ...]:
-        """Services, then actions."""
+        """The plans of services, then actions."""
         return (*self.services, *self.actions)
 
     @property
     def plans(self) -> tuple[Plan, ...]:
-        """Topics, then services, then actions."""
+        """The plans of topics, services and actions, in this order."""
         return (*self.topics, *self.calls)
 
     def topic(self, name: str) -> TopicPlan:
-        """Return one topic's plan; KeyError if the configuration has none."""
+        """Return a topic's plan; KeyError if the topic is not configured."""
         for plan in self.topics:
             if plan.topic == name:
                 return plan
         raise KeyError(name)
 
     def object_name(self, plan: TopicPlan) -> str:
-        """Return the name of a topic's object or memory, without its directory."""
+        """Return the name of a topic's object or classic memory, without its directory."""
         return object_name(self.namespace, plan)
 
     @property
@@ -152,9 +152,9 @@ def load_config(path: Path | str) -> Config:
 
 
 def load_project(path: Path | str) -> Project:
-    """Read a file and resolve it.
+    """Read and check a configuration file, including its types and sizes.
 
-    Raises ConfigErrors: As :func:`load_config`.
+    Raises ConfigErrors: As :func:`~rosplc.check`.
     """
     return resolve(read_config(path))
 
@@ -182,7 +182,7 @@ def resolve(config: Config) -> Project:
         if entry.classic is not None:
             name = entry.classic.name or classic_name(topic)
         if name in names:
-            key, what = where, f"{topic} and {names[name]} both get the object name {name}"
+            key, what = where, f"{topic} and {names[name]} have the same object name, {name}"
             if own and topic in settings.topics:
                 key, what = ("topics", topic), f"the bridge itself already carries {topic} for the PLC"
             problems.wrong(config.source, key, what, "", "CFG007")
@@ -282,7 +282,7 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
     qos = _qos(entry)
     backend = config.settings.ros.backend
     if qos.promises and (backend not in ("auto", "dds") or layout.store.ros_version == 1):
-        what = f"only the dds backend supports deadline and lease; ros.backend is {backend}"
+        what = f"only the dds backend (ROS 2) supports deadline and lease; ros.backend is {backend}"
         raise config.source.wrong(("topics", topic, "qos"), what, "Remove both; stale_after still works.")
     classic = classic_plan(config, topic, entry, task)
     every = entry.every if entry.every is not None else not to_plc and classic is None

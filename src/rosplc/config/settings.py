@@ -88,7 +88,7 @@ def _absolute(what: str) -> AfterValidator:
         if not re.fullmatch(_TOPIC, name):
             nearest = "/" + "/".join(part for part in re.sub(r"[^A-Za-z0-9_/]", "_", name).split("/") if part)
             hint = f", such as {nearest!r}" if re.fullmatch(_TOPIC, nearest) else ""
-            raise ValueError(f"{what} start with / and contain letters, digits, _ and single slashes{hint}")
+            raise ValueError(f"{what} start with / and consist of letters, digits, _ and single /{hint}")
         return name
 
     return AfterValidator(check)
@@ -146,13 +146,11 @@ _LOCATOR = r"[a-z0-9_-]+/.+"
 TopicName = Annotated[str, _absolute("topic names"), _schema(_TOPIC)]
 ServiceName = Annotated[str, _absolute("service names"), _schema(_TOPIC)]
 ActionName = Annotated[str, _absolute("action names"), _schema(_TOPIC)]
-ClientName = Annotated[
-    str, _pattern(_CLIENT, "a letter, then at most 31 letters, digits or _"), _schema(_CLIENT)
-]
+ClientName = Annotated[str, _pattern(_CLIENT, "a letter and up to 31 letters, digits or _"), _schema(_CLIENT)]
 FrameName = Annotated[
-    str, _pattern(_FRAME, "a frame name: letters, digits, _ . / or -, no leading /"), _schema(_FRAME)
+    str, _pattern(_FRAME, "a frame name of letters, digits, _ . / or -, without leading /"), _schema(_FRAME)
 ]
-Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
+Word = Annotated[str, _pattern(_WORD, "a letter and up to 31 letters, digits, _ or -"), _schema(_WORD)]
 GraphName = Annotated[str, _pattern(_NAME, "a name such as /cmd_vel, cmd_vel or ~/cmd_vel"), _schema(_NAME)]
 Locator = Annotated[
     str,
@@ -163,7 +161,7 @@ NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, no leading dig
 NamespaceName = Annotated[str, _pattern(_NAMESPACE, "/ or a name such as /robot1"), _schema(_NAMESPACE)]
 SharedName = Annotated[
     str,
-    _pattern(_SHM_NAME, "at most 80 letters, digits, _ . or -, with no leading . - or sem."),
+    _pattern(_SHM_NAME, "at most 80 letters, digits, _ . or -, without leading . - or sem."),
     _schema(_SHM_NAME),
 ]
 TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, no leading digit"), _schema(_TASK)]
@@ -209,7 +207,7 @@ def _f(default: Any, description: str, **constraints: Any) -> Any:
 
 
 class ZenohSettings(_Section):
-    """How the `zenoh` backend reaches its peers; the defaults are those of rmw_zenoh."""
+    """Connections of the `zenoh` backend; the defaults are those of rmw_zenoh."""
 
     mode: Literal["peer", "client"] | None = _f(
         None, "`peer` discovers peers by gossip and connects to them directly; `client` uses a router."
@@ -226,7 +224,7 @@ class ZenohSettings(_Section):
 
 
 class RclpySettings(_Section):
-    """How the node of the `rclpy` backend is started."""
+    """Start options of the `rclpy` backend's node."""
 
     ros_args: tuple[Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)], ...] = _f(
         (), "ROS arguments of the node, as a list of the words after `--ros-args`."
@@ -237,12 +235,13 @@ class RclpySettings(_Section):
 
 
 class RosSettings(_Section):
-    """The ROS side."""
+    """The connection to ROS."""
 
     backend: BackendName = _f(
         "auto",
         "The backend that connects to ROS. `auto` selects it by distribution, environment and installed "
-        "packages; `rosplc check` shows the choice and the reason. `memory` is for tests within one process.",
+        "packages; `rosplc check` shows the choice and reason. `memory` is for tests within one "
+        "process.",
     )
     distro: Distro = _f("jazzy", "The distribution whose message definitions apply; `noetic` is ROS 1.")
     domain: StrictInt | None = _f(None, "The ROS domain. Default: `ROS_DOMAIN_ID`, else 0.", ge=0, le=232)
@@ -252,10 +251,10 @@ class RosSettings(_Section):
     )
     remap: dict[GraphName, GraphName] = _f(
         {},
-        "Topic → new topic, like `-r from:=to`, which overrides this key. Names in the PLC do not change.",
+        "Renamed topics, as `old: new`; `-r old:=new` overrides this key. Names in the PLC do not change.",
         max_length=MOST_REMAPPINGS,
     )
-    zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; if set, `auto` selects it.")
+    zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; if set, `auto` selects `zenoh`.")
     rclpy: RclpySettings | None = _f(None, "Settings of the `rclpy` backend.")
 
 
@@ -271,10 +270,10 @@ class TypesSettings(_Section):
 
 
 class LimitSettings(_Section):
-    """Default capacities, unless set in the definition or in a topic's `limits`."""
+    """Default capacities; an entry's `limits` or a smaller bound in the definition takes precedence."""
 
-    string: StrictInt = _f(80, "Bytes of a string.", ge=1, le=65534)
-    sequence: StrictInt = _f(16, "Elements of a sequence.", ge=1, le=1 << 24)
+    string: StrictInt = _f(80, "Maximum length in bytes.", ge=1, le=65534)
+    sequence: StrictInt = _f(16, "Maximum number of elements.", ge=1, le=1 << 24)
 
 
 class ShmSettings(_Section):
@@ -297,7 +296,7 @@ class ShmSettings(_Section):
 class DiagnosticsSettings(_Section):
     """The bridge's reports on `/diagnostics`."""
 
-    enabled: bool = _f(True, "Whether `diagnostic_msgs/msg/DiagnosticArray` is published.")
+    enabled: bool = _f(True, "Publish diagnostics (`diagnostic_msgs/msg/DiagnosticArray`).")
     period_ns: Annotated[Duration, between("100ms", "1h")] = _f(
         "1s", "Time between two diagnostic messages, 100ms to 1h."
     )
@@ -315,26 +314,26 @@ class RosoutSettings(_Section):
         True, "Publish the bridge's log on `/rosout`, unless `--ros-args --disable-rosout-logs` is given."
     )
     plc: bool = _f(False, "Let the PLC program log to `/rosout` with `RosPlc_Log` blocks.")
-    task: TaskName | None = _f(None, "The PLC task that has these blocks. Default: the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that calls these blocks. Default: the first of `tasks`.")
 
 
 class TimeSettings(_Section):
     """ROS time in the PLC."""
 
-    plc: bool = _f(False, "Provide ROS time in the PLC, in `ROS_Read.ros_time`, a `RosPlc_Time` block.")
+    plc: bool = _f(False, "Provide ROS time in the PLC, with the `RosPlc_Time` block `ROS_Read.ros_time`.")
     use_sim_time: bool = _f(False, "Take the time from `/clock`, as with `--ros-args -p use_sim_time:=true`.")
-    task: TaskName | None = _f(None, "The PLC task that has the block. Default: the first of `tasks`.")
+    task: TaskName | None = _f(None, "The PLC task that calls the block. Default: the first of `tasks`.")
 
 
 class RealtimeSettings(_Section):
     """Real-time scheduling of the bridge's threads; without this section, the bridge is an ordinary process.
 
-    It applies to the threads that carry messages and send heartbeats, including those of the ROS side; not
-    to the reporter, which queries ROS and publishes diagnostics.
+    The settings apply to the threads that carry messages and send heartbeats, including those of the ROS
+    side, but not to the reporter thread, which queries ROS and publishes diagnostics.
     """
 
     policy: Literal["fifo"] | None = _f(
-        None, "`fifo`: SCHED_FIFO, which precedes ordinary processes and requires permission (SYS010)."
+        None, "`fifo`: SCHED_FIFO, with precedence over ordinary threads; requires permission (SYS010)."
     )
     priority: StrictInt = _f(
         20, "SCHED_FIFO priority, 1 to 99. CODESYS tasks use 52 to 67; choose a lower value.", ge=1, le=99
@@ -345,8 +344,8 @@ class RealtimeSettings(_Section):
     lock_memory: bool = _f(False, "Lock all used pages in memory, so that they cannot be swapped out.")
     gc: Literal["auto", "off", "freeze"] = _f(
         "auto",
-        "Python's garbage collector. `freeze`: it ignores objects created during startup. `off`: in "
-        "addition, it runs only on a timer: a short collection each second, a full one each minute.",
+        "Python's garbage collector. `freeze`: it ignores objects created during startup. `off`: it also "
+        "runs only on a timer, with a short collection each second and a full one each minute.",
     )
 
     @model_validator(mode="after")
@@ -359,7 +358,7 @@ class RealtimeSettings(_Section):
 class TaskSettings(_Section):
     """A task of the PLC; `rosplc generate` creates it, and the bridge derives the number of slots from it."""
 
-    kind: Literal["cyclic", "freewheeling"] = _f("cyclic", "The kind of task.")
+    kind: Literal["cyclic", "freewheeling"] = _f("cyclic", "How the task runs.")
     interval_ns: Duration = _f("10ms", "The cycle time.")
     priority: StrictInt = _f(4, "The priority: 0 is the highest, 31 the lowest.", ge=0, le=31)
     watchdog_ns: Duration | None = _f(None, "The maximum time that a cycle may take. Default: no watchdog.")
@@ -367,7 +366,7 @@ class TaskSettings(_Section):
 
 
 class QosSettings(_Section):
-    """ROS 2's quality of service; omitted keys come from the preset."""
+    """Quality of service in ROS 2; omitted keys come from the preset."""
 
     preset: Literal["default", "sensor_data", "latched"] | None = _f(
         None,
@@ -378,33 +377,34 @@ class QosSettings(_Section):
     durability: Literal["volatile", "transient_local"] | None = _f(
         None,
         "Whether the middleware keeps messages for late subscribers; with `to: plc`, the bridge requests "
-        "this from publishers. Default: from `latched` if that is set, else from preset or direction.",
+        "this from publishers. Default: as given by `latched` if set, else by the preset or the direction.",
     )
     depth: StrictInt | None = _f(
         None, "The maximum number of queued messages (in ROS 1: `queue_size`).", ge=1, le=100_000
     )
     deadline_ns: Interval | None = _f(
         None,
-        "`dds` only: the longest time between messages. With `to: plc`, the bridge requests it and ignores "
-        "publishers that do not offer it; with `to: ros`, it offers it. Missed deadlines are counted.",
+        "`dds` only: the longest time between messages. With `to: ros`, the bridge offers this deadline; "
+        "with `to: plc`, it requests the deadline and ignores publishers that do not offer it. Missed "
+        "deadlines are counted.",
     )
     lease_ns: Annotated[Duration, between("100ms", "1h")] | None = _f(
         None,
         "`dds` only: how long after its last sign of life a publisher is considered lost (automatic "
-        "liveliness), 100ms to 1h. The bridge requests or offers it like `deadline`.",
+        "liveliness), 100ms to 1h. The bridge requests or offers this time like `deadline`.",
     )
 
 
 class ClassicSettings(_Section):
     """Classic mode: the bare record at offset 0 of a shared memory, guarded by a named semaphore.
 
-    For existing PLC projects; `classic: true` uses every default.
+    This mode is for existing PLC projects. `classic: true` uses all defaults.
     """
 
     name: SharedName | None = _f(
         None,
-        "Name of the shared memory, without a slash. Default: the topic's name, with dots for inner "
-        "slashes: `cmd_vel` for `/cmd_vel`.",
+        "Name of the shared memory, without a slash. Default: the topic's name with dots as separators, "
+        "such as `arm.cmd_vel` for `/arm/cmd_vel`.",
     )
     semaphore: SharedName | None = _f(
         None,
@@ -412,12 +412,12 @@ class ClassicSettings(_Section):
         "no lock protects the memory, as in the CODESYS sample.",
     )
     wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
-        "5ms", "How long a side tries to acquire the lock before giving up until its next cycle, 100us to 1s."
+        "5ms", "How long each side waits for the lock before giving up until its next cycle, 100us to 1s."
     )
     recover_after_ns: Annotated[Duration, between("20ms", "1h")] = _f(
         "1s",
-        "How long the lock must be held without any sign of life before its holder counts as dead and the "
-        "bridge frees it, 20ms to 1h. Set it longer than any pause of a running holder.",
+        "How long the lock must be held without any sign of life before the bridge considers its holder dead "
+        "and frees the lock, 20ms to 1h. It must exceed any pause of a running holder.",
     )
 
 
@@ -451,7 +451,7 @@ class TopicSettings(_Section):
     """One topic, carried in one direction."""
 
     type: TypeName = Field(description="The message type, `package/msg/Name`.")
-    to: Literal["plc", "ros"] = Field(description="The direction in which messages are carried.")
+    to: Literal["plc", "ros"] = Field(description="The destination of the messages.")
     task: TaskName | None = _f(None, "The PLC task that handles the topic. Default: the first of `tasks`.")
     limits: dict[str, StrictInt] = _f(
         {},
@@ -469,33 +469,33 @@ class TopicSettings(_Section):
         None,
         "Whether a message already in shared memory at startup is used. `to: plc`: a starting PLC treats "
         "it as new. `to: ros`: a starting bridge publishes it again. `classic` with `to: plc`: the bridge "
-        "writes the last message to a new memory. `classic` with `to: ros`: what the memory contains at "
-        "startup counts as a message. Default: whether `qos` requests transient local.",
+        "writes the last message to new memory. `classic` with `to: ros`: the record in memory at "
+        "startup counts as a message. Default: true if `qos` requests transient local.",
     )
     every: bool | None = _f(
         None,
-        "Whether every message is delivered, in order, or only the newest. "
+        "Whether every message is delivered in order, instead of only the newest. "
         "Default: true with `to: ros`, false with `to: plc`.",
     )
     slots: StrictInt | None = _f(
         None,
         "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. Default: from "
-        "rate and task; with `to: ros`, enough that a bridge can pause for 200 ms without loss.",
+        "rate and task; with `to: ros`, enough for a bridge to pause for 200 ms without loss.",
         ge=4,
         le=65536,
     )
     expected_rate_ns: Interval | None = _f(
-        None, "The highest rate at which messages arrive. Affects only `slots`; `rate_limit` limits the rate."
+        None, "The highest rate at which messages arrive. It affects `slots`; `rate_limit` limits the rate."
     )
     rate_limit_ns: Interval | None = _f(
         None,
         "Highest rate (`10Hz`) or shortest interval (`100ms`) at which messages are passed on. "
-        "In between, the newest message waits; the last message is never dropped.",
+        "Messages that arrive faster replace each other; the last message is never dropped.",
     )
     on_change: bool = _f(
         False,
         "Pass a message on only if it differs from the previous one. Default with `classic` and `to: "
-        "ros`: true, since nothing else reveals a new message; with `false`, the bridge publishes at every "
+        "ros`: true, since only a change reveals a new message; with `false`, the bridge publishes at every "
         "poll, with the period of `rate_limit`, else of `expected_rate`, else of the task.",
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
@@ -508,12 +508,12 @@ class TopicSettings(_Section):
     )
     on_stale: OnStale = _f(
         None,
-        "What replaces messages while the source is silent for longer than `stale_after`. `to: plc`: "
-        "`hold` (default) keeps the last message, `zero` sets every byte to zero, `{value: …}` gives the "
-        "PLC program that message. `to: ros`: `stop` (default) publishes nothing, `{value: …, period: …}` "
-        "publishes that message, counted as substituted.",
+        "What happens while the source is silent for longer than `stale_after`. `to: plc`: `hold` (default) "
+        "keeps the last message, `zero` sets every byte to zero, and `{value: …}` gives the PLC program "
+        "that message. `to: ros`: `stop` (default) publishes nothing, and `{value: …, period: …}` "
+        "publishes that message, which is counted as substituted.",
     )
-    print: bool = _f(False, "Log each message; for debugging.")
+    print: bool = _f(False, "Log each message, for debugging.")
     classic: Annotated[
         ClassicSettings | None,
         BeforeValidator(lambda value: {True: {}, False: None}[value] if isinstance(value, bool) else value),
@@ -542,19 +542,19 @@ def _clients(value: Any) -> Any:
         return value
     names = [name for name in value if isinstance(name, str)]
     if len(names) < len(value) or len(set(names)) < len(names):
-        raise ValueError("clients must be a list of distinct names, or name: {task: …}")
+        raise ValueError("clients must be a list of distinct names, or a group such as pick: {task: …}")
     return {name: {} for name in names}
 
 
 class _CallSettings(_Section):
     type: str
-    server: Literal["plc", "ros"] = Field(description="The side that is the server.")
+    server: Literal["plc", "ros"] = Field(description="The side that executes the calls.")
     clients: Annotated[
         dict[ClientName, ClientSettings], Field(max_length=MOST_CLIENTS), BeforeValidator(_clients)
     ] = _f(
         {},
-        "`server: ros`: the clients in the PLC program, each with its own block and objects: `[pick, "
-        "place]`, or `{pick: {task: Fast}}`. Default: a single client without a name.",
+        "`server: ros`: the clients in the PLC program, each with its own block and objects, such as `[pick, "
+        "place]` or `{pick: {task: Fast}}`. Default: a single client without a name.",
     )
     task: TaskName | None = _f(None, "The PLC task that handles the calls. Default: the first of `tasks`.")
     limits: dict[str, StrictInt] = _f(
@@ -565,13 +565,13 @@ class _CallSettings(_Section):
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse",
         "What happens to data from ROS that exceeds a limit. `truncate`: it is truncated. `refuse`: requests "
-        "and goals are refused, and feedback is dropped; the PLC's call ends as `UNREADABLE` if the response "
-        "is too large, the PLC's goal without a result if the result is.",
+        "and goals are refused, feedback is dropped, calls from the PLC end as `UNREADABLE`, and goals from "
+        "the PLC end without a result.",
     )
 
 
 class ServiceSettings(_CallSettings):
-    """One service: `server: ros` is called by the PLC, `server: plc` is executed by the PLC."""
+    """One service. With `server: ros`, the PLC calls it; with `server: plc`, the PLC executes it."""
 
     type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
     depth: StrictInt = _f(
@@ -579,40 +579,40 @@ class ServiceSettings(_CallSettings):
     )
     per_client: StrictInt | None = _f(
         None,
-        "`server: plc`, over `dds`: the maximum per client. Default: a quarter of `depth`. Other "
+        "`server: plc`, over `dds`: the same maximum per client. Default: a quarter of `depth`. Other "
         "backends do not distinguish clients.",
         ge=1,
         le=1000,
     )
     rate_limit_ns: Interval | None = _f(
-        None, "`server: plc`: minimum time between calls to the PLC (`10ms`), or their maximum rate."
+        None, "`server: plc`: minimum time between calls to the PLC, or their maximum rate."
     )
     expire_after_ns: Annotated[Duration, between("1ms", "1h")] = _f(
-        "5s", "`server: plc`: a call that has waited longer than this is not passed to the PLC, 1ms to 1h."
+        "5s", "`server: plc`: how long a call may wait before it is no longer passed to the PLC, 1ms to 1h."
     )
     fallback: dict[str, Any] | None = _f(
         None,
-        "`server: plc`: the response to a caller when the PLC gives none, such as `{success: false, "
+        "`server: plc`: the response to a caller if the PLC sends none, such as `{success: false, "
         "message: PLC is not running}`. Default: no response; in ROS 1, an error.",
     )
 
 
 class ActionSettings(_CallSettings):
-    """One action: `server: ros` is used by the PLC, `server: plc` is executed by the PLC."""
+    """One action. With `server: ros`, the PLC uses it; with `server: plc`, the PLC executes it."""
 
     type: ActionTypeName = Field(description="The action type, `package/action/Name`.")
     on_new_goal: Literal["reject", "abort", "buffer"] = _f(
         "reject",
-        "`server: plc`: what happens to a goal that arrives while the PLC has another goal. `reject`: "
-        "it is rejected. `abort`: the PLC is asked to end its goal (`xPreempt`) and then gets the new one. "
-        "`buffer`: the new goal waits.",
+        "`server: plc`: what happens to a goal that arrives while the PLC has another goal. `reject`: the "
+        "new goal is rejected. `abort`: the PLC is asked to end its goal (`xPreempt`), then gets the new "
+        "one. `buffer`: the new goal waits.",
     )
     queue: StrictInt | None = _f(
         None, "`on_new_goal: buffer`: how many goals can wait, default 4; others are rejected.", ge=1, le=100
     )
     accept_within_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "5s",
-        "`server: plc`: a goal that the PLC has neither accepted nor rejected after this time is withdrawn "
+        "`server: plc`: how long the PLC may take to accept or reject a goal before the goal is withdrawn "
         "and rejected, 1ms to 1h.",
     )
     keep_result_ns: Annotated[Duration, between("100ms", "1h")] = _f(
@@ -621,19 +621,19 @@ class ActionSettings(_CallSettings):
     when_plc_down: Literal["cancel", "keep"] = _f(
         "cancel",
         "`server: ros`: what happens to a goal in ROS when the PLC program stops or goes silent. "
-        "`cancel`: the server is asked to cancel it. `keep`: it continues.",
+        "`cancel`: the server is asked to cancel the goal. `keep`: the goal continues.",
     )
 
 
 class ParameterSettings(_Section):
-    """One parameter of the bridge's node, which is a variable of the PLC."""
+    """One parameter of the bridge's node, which is a variable in the PLC."""
 
     type: Kind = Field(description="The type, one of `rcl_interfaces/msg/ParameterType`.")
     value: Any = _f(None, "The initial value, also in the PLC code. Default: zero, false or empty.")
     range: Annotated[tuple[StrictInt | float, ...], Field(min_length=2, max_length=3)] | None = _f(
         None, "Allowed range of an integer or double: `[minimum, maximum]` or `[minimum, maximum, step]`."
     )
-    read_only: bool = _f(False, "Whether only the PLC program may change the value.")
+    read_only: bool = _f(False, "Only the PLC program may change the value.")
     description: Annotated[str, Field(max_length=LONGEST_TEXT)] = _f("", "A description for users.")
     capacity: StrictInt | None = _f(
         None, "Maximum number of elements of an array. Default: `limits.sequence`.", ge=1, le=1 << 24
@@ -648,8 +648,8 @@ class ParametersSettings(_Section):
 
     initial: Literal["file", "plc"] = _f(
         "file",
-        "Which values apply at startup. `file`: first those of this file, `--params-file` and `-p`; "
-        "after a restart, the PLC gets the last values again. `plc`: always the PLC's initial values.",
+        "The values at startup. `file`: at first those of this file, `--params-file` and `-p`; after a "
+        "restart, the last values. `plc`: always the PLC's initial values.",
     )
     task: TaskName | None = _f(None, "The PLC task that uses the parameters. Default: the first of `tasks`.")
     declare: dict[ParameterName, ParameterSettings] = _f(
@@ -665,7 +665,7 @@ class TransformSettings(_Section):
     rate_ns: Annotated[Interval, between("1ms", "1h")] = _f(
         "50Hz", "How often the PLC gets the pose, such as `100Hz` or `10ms`."
     )
-    max_age_ns: StaleAfter = _f("1s", "Age at which a pose that is not static becomes invalid, or `never`.")
+    max_age_ns: StaleAfter = _f("1s", "Age at which a non-static pose becomes invalid, or `never`.")
     task: TaskName | None = _f(None, "The PLC task that reads the pose. Default: the first of `tasks`.")
 
 
@@ -677,7 +677,7 @@ class Settings(_Section):
         "rosplc",
         "Prefix of the objects' names, so that two cells on one machine can both carry `/cmd_vel`.",
     )
-    ros: RosSettings = _f({}, "The ROS side.")
+    ros: RosSettings = _f({}, "The connection to ROS.")
     types: TypesSettings = _f({}, "Custom message types.")
     limits: LimitSettings = _f({}, "Capacities of strings and sequences.")
     shm: ShmSettings = _f({}, "The objects in shared memory.")
@@ -685,10 +685,10 @@ class Settings(_Section):
         "1ms", "How often the bridge polls for messages from the PLC, 50us to 1s."
     )
     beat_ns: Annotated[Duration, between("10ms", "10s")] = _f(
-        "100ms", "Heartbeat period, 10ms to 10s; after three missed heartbeats, the bridge counts as gone."
+        "100ms", "Heartbeat period, 10ms to 10s; after three missed heartbeats, the bridge counts as dead."
     )
-    diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
-    rosout: RosoutSettings = _f({}, "Logs in ROS.")
+    diagnostics: DiagnosticsSettings = _f({}, "ROS diagnostics.")
+    rosout: RosoutSettings = _f({}, "Logging to ROS.")
     time: TimeSettings = _f({}, "ROS time in the PLC.")
     realtime: RealtimeSettings = _f({}, "Real-time scheduling.")
     tasks: dict[TaskName, TaskSettings] = _f(
@@ -707,7 +707,7 @@ class Settings(_Section):
     actions: dict[ActionName, ActionSettings] = _f({}, "Actions by their ROS name.", max_length=MOST_SERVICES)
     parameters: ParametersSettings = _f({}, "Parameters of the bridge's node, as variables in the PLC.")
     transforms: dict[ClientName, TransformSettings] = _f(
-        {}, "Poses of frames for the PLC, by a name of your choice.", max_length=MOST_SERVICES
+        {}, "Poses of frames for the PLC, each under a name of your choice.", max_length=MOST_SERVICES
     )
 
     @model_validator(mode="before")

@@ -28,11 +28,11 @@ class Absent(ConfigError):
 
 
 class ConfigErrors(ConfigError):
-    """One or more errors of one configuration, in the order of their lines.
+    """One or more errors in a configuration, sorted by line.
 
-    It is caught as a :class:`~rosplc.errors.ConfigError`; ``code``, ``what``, ``where`` and
-    ``remedy`` are those of the first error, the text shows all of them, one a line. ``errors`` is
-    at least one; some may be of the families TYP, LAY or SHM.
+    This is a :class:`~rosplc.errors.ConfigError`. ``code``, ``what``, ``where`` and ``remedy``
+    are those of the first error; the text shows all errors, one per line. ``errors`` contains
+    at least one error; some may belong to the families TYP, LAY or SHM.
     """
 
     family = ""
@@ -207,7 +207,7 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         place = f"{path}:" + str(raw.count(b"\n", 0, error.start) + 1)
         raise ConfigError(
-            "CFG002", "the text is not UTF-8", where=place, remedy="Save it as UTF-8."
+            "CFG002", "the text is not UTF-8", where=place, remedy="Save the file as UTF-8."
         ) from None
 
 
@@ -228,9 +228,9 @@ class _Builder:
         if isinstance(event, yaml.DocumentStartEvent):
             self._documents += 1
             if self._documents > 1:
-                raise self._no_yaml("the file contains a second document", line, "Remove the ---.")
+                raise self._no_yaml("the file contains a second document", line, "Remove the `---`.")
         elif isinstance(event, yaml.AliasEvent):
-            self._refuse(f"*{event.anchor} is an alias", line)
+            self._refuse(f"*{event.anchor} is a YAML alias", line)
             if self._expects_key():
                 self._key(f"*{event.anchor}", line)
             else:
@@ -297,7 +297,7 @@ class _Builder:
 
     def _tag(self, tag: str | None, line: int) -> None:
         if tag is not None and tag not in _PLAIN_TAGS:
-            self._refuse(f"{tag} is a tag", line)
+            self._refuse(f"{tag} is a YAML tag", line)
 
     def _refuse(self, what: str, line: int) -> None:
         self._problems.add(ConfigError("CFG009", what, where=f"{self.name}:{line}"), line)

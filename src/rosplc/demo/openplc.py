@@ -44,7 +44,7 @@ def find_openplc() -> tuple[Path, Path]:
             raise SetupError("SYS001", f"{program} is missing", remedy=f"sudo apt-get install {package}")
     if Runtime.ask("STATUS"):
         what = "another OpenPLC runtime is running"
-        raise SetupError("SYS002", what, where=str(RUN), remedy="Stop it: a machine can run only one.")
+        raise SetupError("SYS002", what, where=str(RUN), remedy="Stop it. A machine can run only one.")
     openplc, strucpp = (Path(os.environ[variable]).resolve() for variable in _BUILT)
     return openplc, strucpp
 
@@ -99,7 +99,7 @@ class Runtime:
     def check(self) -> None:
         """Raise SetupError SYS002 if it has ended."""
         if self._process.poll() is not None:
-            raise SetupError("SYS002", "the OpenPLC runtime has ended")
+            raise SetupError("SYS002", "the OpenPLC runtime stopped unexpectedly")
 
     @staticmethod
     def ask(command: str) -> str:

@@ -298,9 +298,9 @@ class Demo:
         reasons = [f"robot {topic}: {why}" for topic, why in self.robot.get("unmatched", {}).items()]
         reasons += [f"PLC {topic}: {why}" for topic, why in self.plc.get("waiting", {}).items()]
         if not self.robot:
-            reasons.append("the robot has not reported")
+            reasons.append("the robot sent no status")
         if not self.plc:
-            reasons.append("the PLC has not reported")
+            reasons.append("the PLC sent no status")
         return "; ".join(reasons) or "the PLC is not ready"
 
     def _drain(self) -> bool:

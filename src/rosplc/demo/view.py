@@ -45,7 +45,7 @@ class LiveView:
 
     def _picture(self, demo: Demo) -> Group:
         if demo.phase == "starting":
-            text = "Starting the robot, the bridge and the virtual PLC; they discover each other …"
+            text = "Starting the robot, the bridge and the virtual PLC, and waiting for discovery …"
             return Group(Text(text))
         robot, plc = demo.robot, demo.plc
         wide = self._live.console.width >= _WIDE
@@ -69,9 +69,9 @@ class LiveView:
             table.add_row(*(cells[number] for number in shown))
         cycle = plc.get("cycle", {})
         task = (
-            f"PLC task: {cycle.get('scans', 0)} scans of {demo.plan.interval * 1000:g} ms, "
-            f"{cycle.get('missed', 0)} missed; a scan takes {cycle.get('cycle_mean_us', 0) / 1000:.2f} ms, "
-            f"at most {cycle.get('cycle_max_us', 0) / 1000:.2f} ms"
+            f"PLC task: {cycle.get('scans', 0)} scans, one every {demo.plan.interval * 1000:g} ms, "
+            f"{cycle.get('missed', 0)} missed; mean {cycle.get('cycle_mean_us', 0) / 1000:.2f} ms, "
+            f"longest {cycle.get('cycle_max_us', 0) / 1000:.2f} ms"
         )
         drive = f"The robot has moved {robot.get('metres', 0.0):.2f} m, following the PLC's commands."
         path = Text("robot (DDS) ⇄ bridge ⇄ shared memory ⇄ virtual PLC", style="bold")

@@ -1,8 +1,8 @@
-"""``rosplc doctor``: examines the machine, a configuration and what runs, and suggests what to do.
+"""``rosplc doctor``: examines the machine, a configuration and running bridges, and suggests fixes.
 
-It only looks: nothing is claimed, locked, published or written. Each examination is a function of what it is
-given (a folder in place of ``/proc``, a mapping in place of the environment);
-:mod:`rosplc.doctor.examination` gives them the real ones.
+It only reads: nothing is claimed, locked, published or written. Each examination is a function of its
+arguments (a folder instead of ``/proc``, a mapping instead of the environment);
+:mod:`rosplc.doctor.examination` passes the real ones.
 """
 
 from rosplc.doctor.examination import Question, examine

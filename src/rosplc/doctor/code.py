@@ -1,7 +1,7 @@
-"""Generated PLC code against the configuration and against the running bridge.
+"""Comparison of generated PLC code with the configuration and with the running bridge.
 
-It is read from the Structured Text, not from a list beside it, so that it is what the PLC will do. The few
-lines that are read are written by the generator as they are here; a test reads every delivery.
+The doctor reads the Structured Text itself, not a separate list, because the PLC executes that text. The
+patterns below match the few lines that it needs; a test reads everything that the generator can write.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _SETTING = re.compile(r"^ +(sPrefix|xFenced|xArm) : [^:]+ := ('?)(\w[\w-]*)\2;",
 
 @dataclass(frozen=True)
 class Block:
-    """A function block's instance, and an object that it opens; for a service or action it opens several.
+    """A function block's instance and an object that it opens; a service or action has one per object.
 
     ``use`` is the topic, ``service /gripper/close left``, or a classic memory's name, whose ``layout_id`` is
-    empty; ``label`` tells the objects of a use apart, ``called`` and ``client`` lead to them. ``name`` is the
-    type of the block that reads or writes, ``record_size`` the bytes of its record.
+    empty; ``label`` distinguishes the objects of a use, which ``called`` and ``client`` identify. ``name`` is
+    the type of the block that reads or writes, ``record_size`` the size of its record in bytes.
     """
 
     called: str
@@ -66,9 +66,9 @@ class Block:
 
 @dataclass(frozen=True)
 class Generated:
-    """A folder's code: its instances, and the settings that it was generated with.
+    """The code in a folder: its instances, and the settings that it was generated with.
 
-    ``fenced``: it relies on a memory fence. ``programs``: what the names of its programs begin with.
+    ``fenced``: the code relies on a memory fence. ``programs``: the beginning of its programs' names.
     """
 
     blocks: tuple[Block, ...]
@@ -81,12 +81,12 @@ class Generated:
 def read_generated(folder: Path) -> Generated:
     """Read the output folder of `rosplc generate`, or the folder ``st`` in it.
 
-    Raises ValueError with what is wrong: there is no such code, or it is not understood.
+    Raises ValueError with the reason if there is no such code or it cannot be parsed.
     """
     base = folder / "st" if (folder / "st").is_dir() else folder
     settings = {name: value for name, _, value in _SETTING.findall(_text(base / "Base/RosPlc_Settings.st"))}
     if {"sPrefix", "xFenced"} - set(settings):
-        raise ValueError(f"{base / 'Base/RosPlc_Settings.st'} does not contain a prefix")
+        raise ValueError(f"{base / 'Base/RosPlc_Settings.st'} does not define a prefix")
     lists = [base / f"{name}.st" for name in ("ROS_Read", "ROS_Write", "ROS_Services", "ROS_Actions")]
     blocks = [block for path in lists if path.exists() for block in _instances(base / "Blocks", path)]
     programs = [match[1] for path in sorted(base.glob("*.st")) if (match := _PROGRAM.search(_text(path)))]
@@ -116,7 +116,7 @@ def _block(folder: Path, found: Block) -> Block:
         return replace(found, to_plc=ids[1] == "Read", layout_id=layout_id, record_size=int(ids[4]))
     if classic := _CLASSIC.search(text):
         return replace(found, record_size=int(classic[1]))
-    raise ValueError(f"{path} does not contain a layout")
+    raise ValueError(f"{path} contains neither a layout id nor a record size")
 
 
 def _block_file(folder: Path, name: str) -> Path:
@@ -151,9 +151,9 @@ def against_config(
     *,
     differences: Mapping[str, str] | None = None,
 ) -> Iterator[Finding]:
-    """Compare each block with what would be generated now, by ``command``, for what is ``wanted``.
+    """Compare each block with what ``command`` would generate now for the objects ``wanted``.
 
-    ``differences`` is type → what differs in its declaration.
+    ``differences`` maps a type to the difference in its declaration.
     """
     other = f"the code's prefix is {code.prefix}, but the configuration's prefix is {prefix}"
     same, well = code.prefix == prefix, f"code and configuration have the prefix {prefix}"
@@ -163,27 +163,28 @@ def against_config(
     for each in wanted:
         block = blocks.pop(each.name, None)
         if block is None or block.to_plc is not (each.direction is Direction.TO_PLC):
-            missing.append(each.use if block is None else f"{each.use} (other direction)")
+            missing.append(each.use if block is None else f"{each.use} (in this direction)")
         elif what := _difference(block, each.layout):
             more = (differences or {}).get(each.layout.type_name, "")
             where = each.name if block.layout_id else each.use
             stale.append(found("DOC702", f"{where}: {what}{f'; {more}' if more else ''}", command=command))
     count = plural(len(wanted) - len(missing), "object")
     yield from stale or [fine("DOC702", f"code and configuration have the same layout for {count}")]
-    what = f"not in the code: {listed(dict.fromkeys(missing))}" if missing else ""
+    what = f"the code has no block for {listed(dict.fromkeys(missing))}" if missing else ""
     yield judged("DOC704", what, "the code has a block for every topic, service and action", command=command)
-    what = f"only in the code: {listed(dict.fromkeys(b.use for b in blocks.values()))}" if blocks else ""
-    yield judged("DOC705", what, "the code has no other topics, services or actions", command=command)
+    more = listed(dict.fromkeys(block.use for block in blocks.values()))
+    what = f"the configuration has no entry for these blocks of the code: {more}" if more else ""
+    yield judged("DOC705", what, "every block in the code has an entry in the configuration", command=command)
 
 
 def _difference(block: Block, layout: Layout) -> str:
     same = block.record_size == layout.size
     if not block.layout_id:
-        return "" if same else f"{block.record_size} bytes in the code, {layout.size} in the configuration"
+        return "" if same else f"{block.record_size} bytes in the code but {layout.size} in the configuration"
     if block.layout_id == layout.layout_id:
         return ""
     sizes = "" if same else f" ({block.record_size} and {layout.size} bytes)"
-    return f"layout {block.layout_id} in {block.name}, {layout.layout_id} in the configuration{sizes}"
+    return f"layout {block.layout_id} in {block.name}, but {layout.layout_id} in the configuration{sizes}"
 
 
 def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator[Finding]:
@@ -197,10 +198,10 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
         count += 1
         identity, word = seen.identity, seen.identity.direction.word
         if block.to_plc is not (identity.direction is Direction.TO_PLC):
-            wrong.append(f"{block.label}: the object's direction is {word}, unlike the block's [SHM110]")
+            wrong.append(f"{block.label}: the object's direction, {word}, differs from the block's [SHM110]")
         elif identity.layout_id != block.layout_id:
             sizes = f"{block.record_size} and {identity.record_size} bytes"
-            what = f"layout {block.layout_id} in the code, {identity.layout_id} in the bridge ({sizes})"
+            what = f"layout {block.layout_id} in the code, but {identity.layout_id} in the bridge ({sizes})"
             wrong.append(f"{block.label}: {what} [SHM112]")
     for what in wrong:
         yield found("DOC703", what)
@@ -209,18 +210,17 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
 
 
 def fences(code: Generated, machine: str, command: str) -> Iterator[Finding]:
-    """Judge whether the code's rule of ordering is right for this machine."""
+    """Judge whether the memory fences in the code are right for this machine."""
     wrong = not code.arm and code.fenced and machine in _ARM
     what = f"the code relies on the memory fence of x86, but this machine is {machine}" if wrong else ""
-    yield judged(
-        "DOC707", what, "the code's memory fences suit this machine", command=f"{command} --target arm"
-    )
+    well = "the memory fences in the code suit this machine"
+    yield judged("DOC707", what, well, command=f"{command} --target arm")
 
 
 def files(folder: Path, expected: Mapping[str, bytes], command: str) -> tuple[list[Finding], dict[str, str]]:
-    """Compare the files with what would be generated now: path below the output folder → content.
+    """Compare the files with those that would be generated now: path below the output folder → content.
 
-    Return what is found where no layout differs, and type → the first line of its declaration that differs.
+    Return the finding to report if no layout differs, and type → the first difference in its declaration.
     """
     other, differences = [], {}
     for path, content in sorted(expected.items()):
@@ -235,8 +235,8 @@ def files(folder: Path, expected: Mapping[str, bytes], command: str) -> tuple[li
             if path.startswith("st/Types/") and (line := _first_difference(actual, content)):
                 head = content.decode("ascii", "replace").splitlines()[0].removeprefix("// ")
                 differences[head.partition(",")[0]] = line
-    what = f"different from newly generated code: {listed(other)}" if other else ""
-    return [judged("DOC708", what, "the files match this release's output", command=command)], differences
+    what = f"these files differ from newly generated code: {listed(other)}" if other else ""
+    return [judged("DOC708", what, "the files match newly generated code", command=command)], differences
 
 
 def _first_difference(actual: bytes, expected: bytes) -> str:

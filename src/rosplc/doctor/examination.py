@@ -1,7 +1,7 @@
-"""Which examinations there are, in which order, and what each is given of the real machine.
+"""The examinations in their order, and the parts of the real machine that each one receives.
 
-A file system or a network name may not answer at all. Each examination therefore runs in its own thread,
-which is given up after its time; what it had found until then is kept.
+A file system or a name lookup may hang. Each examination therefore runs in its own thread, which is abandoned
+after a time limit; what it has found by then is kept.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from rosplc.shm import Part
 
 @dataclass(frozen=True)
 class Probe:
-    """One examination: what it looks at, as a person would say it, and how many seconds it may take.
+    """One examination: ``what`` it examines, as the reader sees it, and its time limit in ``seconds``.
 
-    ``look`` returns, or yields, what it finds. If a ``vital`` one fails or hangs, that is an error.
+    ``look`` returns or yields the findings. If a ``vital`` examination fails or hangs, that is an error.
     """
 
     what: str
@@ -55,7 +55,7 @@ class Probe:
 
 
 def run_probe(probe: Probe) -> list[Finding]:
-    """Return what an examination finds; one that fails or hangs is a finding itself, never silence."""
+    """Return the findings of an examination, with one more finding if the examination fails or hangs."""
     seen: list[Finding] = []
     failed: list[BaseException] = []
 
@@ -73,7 +73,7 @@ def run_probe(probe: Probe) -> list[Finding]:
     level = Level.ERROR if probe.vital else None
     if thread.is_alive() or failed:
         late = thread.is_alive() or (isinstance(failed[0], TimeoutError) and not failed[0].strerror)
-        why = f"no answer within {probe.seconds:g} s" if thread.is_alive() else _words(failed[0], late=late)
+        why = f"no result within {probe.seconds:g} s" if thread.is_alive() else _words(failed[0], late=late)
         code = "DOC002" if late else "DOC001"
         result.append(found(code, f"could not check {probe.what}: {why}", level=level))
     # What the doctor could not do is shown beside what it did: people read by area.
@@ -93,12 +93,12 @@ _LOOK_S = 3.5  # how long to watch objects for beats, at most: who beats ends it
 
 @dataclass(frozen=True)
 class Question:
-    """What is to be examined.
+    """The subject of an examination.
 
-    ``config`` is None for the machine alone; ``code`` the folder of generated PLC code; ``plc_user`` the user
-    of the PLC runtime, where it does not run now: otherwise it is found by its process. ``ros``: look at the
-    ROS graph, for at most ``seconds``. ``root`` has the folders ``proc``, ``sys``, ``etc`` and ``run``;
-    ``directory`` is the objects' folder without a configuration; ``variables`` the environment.
+    ``config`` is None for the machine alone; ``code`` is the folder of generated PLC code; ``plc_user`` the
+    user of the PLC runtime, needed only while the runtime is not running. ``ros``: examine the ROS graph for
+    at most ``seconds``. ``root`` contains the folders ``proc``, ``sys``, ``etc`` and ``run``; ``directory``
+    contains the objects if there is no configuration; ``variables`` is the environment.
     """
 
     config: Path | None = None
@@ -112,7 +112,7 @@ class Question:
 
 
 def examine(question: Question, progress: Callable[[str], None] = lambda what: None) -> Report:
-    """Examine what the question names, and change nothing; ``progress`` is told what comes next."""
+    """Examine without changing anything; ``progress`` is called with the subject of each examination."""
     examination = _Examination(question)
     findings: list[Finding] = []
     for probe in examination.probes():
@@ -212,13 +212,13 @@ class _Examination:
         uid, gid = wanted.uid, wanted.gid
         what = remedy = command = ""
         if self._uid != 0 and uid not in (None, self._uid):
-            what = f"shm.owner is {settings.owner}, and {who} cannot give files to that user"
+            what = f"shm.owner is {settings.owner}, but {who} cannot give files to that user"
             remedy = f"Start the bridge as {settings.owner}, or remove shm.owner."
         elif self._uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
             what = f"shm.group is {settings.group}, but {who} is not a member of it"
             remedy = "Add the bridge's user to the group, and log in again."
             command = f"sudo usermod --append --groups {settings.group} {who}"
-        well = "objects can be given to the configured owner and group"
+        well = "the bridge can give objects to the configured owner and group"
         return judged("DOC502", what, well, remedy, command, Level.WARNING)
 
     # The machine.
@@ -328,7 +328,7 @@ class _Examination:
             try:
                 entry = pwd.getpwnam(user)
             except KeyError:
-                yield found("DOC303", f"there is no user {user!r}", "Correct --plc-user.", "getent passwd")
+                yield found("DOC303", f"user {user!r} does not exist", "Correct --plc-user.", "getent passwd")
                 return
             users = {(entry.pw_uid, frozenset(os.getgrouplist(user, entry.pw_gid)))}
         for uid, gids in sorted(users, key=lambda each: each[0]):
@@ -338,7 +338,7 @@ class _Examination:
             yield from leftovers.create_or_open(self._q.root, self._directory, plans, uids)
 
     def _files(self) -> list[rights.File]:
-        """Return the objects as they are; where the configuration's are missing, as they would be."""
+        """Return the objects as they are, or as they would be if the configuration's do not exist yet."""
 
         def file(name: str, status: os.stat_result) -> rights.File:
             return rights.File(name, status.st_uid, status.st_gid, status.st_mode & 0o7777)
@@ -442,7 +442,7 @@ class _Examination:
         except RosplcError as error:
             yield found("DOC510", f"{error.what} [{error.code}]", error.remedy)
             return
-        yield fine("DOC510", f"examined {seen.where} over {seen.backend}")
+        yield fine("DOC510", f"examined {seen.where} (backend {seen.backend})")
         silent = project.config.settings.ros.distro in (ROS1, "humble")
         runs = any(each.live for each in self._carried())
 
@@ -462,7 +462,7 @@ class _Examination:
         except ValueError as error:
             yield found("DOC701", str(error))
             return
-        yield fine("DOC701", f"{folder}: blocks for {plural(len(present.blocks), 'object')}")
+        yield fine("DOC701", f"{folder} contains blocks for {plural(len(present.blocks), 'object')}")
         command = f"rosplc generate {self._q.config or 'rosplc.yaml'} --out {folder}"
         if project is not None:
             edited, differences = _regenerated(project, folder, present, command)
@@ -484,7 +484,7 @@ class _Examination:
 def _regenerated(
     project: Project, folder: Path, present: Generated, command: str
 ) -> tuple[list[Finding], dict[str, str]]:
-    """Compare with what would be generated now, without and with pins; return the better comparison."""
+    """Compare with what would be generated now, without and with pins; return the closer comparison."""
     top = folder if (folder / "st").is_dir() else folder.parent
     result: tuple[list[Finding], dict[str, str]] = ([], {})
     for pins in (False, True):

@@ -1,4 +1,4 @@
-"""What the doctor reports: findings, each of a kind in :mod:`rosplc.doctor.kinds`, and words in them."""
+"""What the doctor reports: findings, each of a kind in :mod:`rosplc.doctor.kinds`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCHEMA = 1  # version of the JSON document; keys are only added under the same n
 
 
 class Level(enum.IntEnum):
-    """How much a finding matters; a larger one is worse."""
+    """The severity of a finding; a larger value is more severe."""
 
     OK = 0  # it was looked at, and is as it should be
     NOTE = 1  # good to know; nothing has to be done
@@ -24,12 +24,12 @@ class Level(enum.IntEnum):
 
     @property
     def word(self) -> str:
-        """The word that people and JSON read."""
+        """The level as a word, for people and for JSON."""
         return self.name.lower()
 
 
 class Area(enum.Enum):
-    """What a finding is about, in the order in which people read them."""
+    """The subjects of findings, in the order in which the report lists them."""
 
     DOCTOR = "failed examinations"
     MACHINE = "machine"
@@ -44,10 +44,10 @@ class Area(enum.Enum):
 
 @dataclass(frozen=True)
 class Kind:
-    """What a ``code`` means, which never changes, for the reference page and for findings.
+    """The meaning of a ``code``, which never changes, for the reference page and for findings.
 
-    ``level`` is how much it matters when it is found, ``title`` what is examined, ``meaning`` what it means
-    when it is found, ``remedy`` what usually helps, empty where nothing has to be done.
+    ``level`` is the usual severity of the finding, ``title`` its subject, ``meaning`` its explanation, and
+    ``remedy`` what usually helps, empty if no action is needed.
     """
 
     code: str
@@ -60,7 +60,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was examined: what was seen, what to do, and the command that does it (or empty)."""
+    """The result of one check: what was seen, what to do, and the command for it (may be empty)."""
 
     code: str
     area: Area
@@ -84,7 +84,7 @@ class Report:
 
     @property
     def worst(self) -> Level:
-        """The worst level."""
+        """The most severe level."""
         return max((finding.level for finding in self.findings), default=Level.OK)
 
     @property
@@ -93,12 +93,12 @@ class Report:
         return any(finding.code == "DOC501" and finding.level is Level.ERROR for finding in self.findings)
 
     def counts(self) -> dict[str, int]:
-        """Return how many findings there are of each level, the worst first."""
+        """Return the number of findings of each level, the most severe level first."""
         number = Counter(finding.level for finding in self.findings)
         return {level.word: number[level] for level in sorted(Level, reverse=True)}
 
     def areas(self) -> list[tuple[Area, list[Finding]]]:
-        """Return findings by area: the areas with the worst first, and so within each."""
+        """Return the findings by area, the most severe first, both among the areas and within each."""
         groups = {area: [f for f in self.findings if f.area is area] for area in Area}
         filled = [(area, sorted(group, key=lambda f: -f.level)) for area, group in groups.items() if group]
         return sorted(filled, key=lambda item: -item[1][0].level)
@@ -116,7 +116,7 @@ class Report:
 
 
 def user_name(uid: int) -> str:
-    """Return a user's name; its number where it has none here."""
+    """Return a user's name, or the user's number if it has no name on this machine."""
     try:
         return pwd.getpwuid(uid).pw_name
     except KeyError:
@@ -124,7 +124,7 @@ def user_name(uid: int) -> str:
 
 
 def group_name(gid: int) -> str:
-    """Return a group's name; its number where it has none here."""
+    """Return a group's name, or the group's number if it has no name on this machine."""
     try:
         return grp.getgrgid(gid).gr_name
     except KeyError:

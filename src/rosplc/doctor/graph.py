@@ -1,8 +1,8 @@
-"""The configuration against the ROS graph: are there peers for each topic, and do they fit?
+"""Comparison of the configuration with the ROS graph: does each topic have matching nodes?
 
-The doctor only looks at what discovery shows. It subscribes to nothing and publishes nothing: another
-subscriber makes some publishers start their work, and a healthy robot should not see another publisher on a
-command topic. It looks in a process of its own: a middleware may hang, crash or print as it likes.
+The doctor only reads what discovery shows. It subscribes to nothing, because some publishers start to work
+when they have a subscriber, and publishes nothing, because a command topic must not get another publisher.
+It uses a separate process, because a middleware may hang, crash or print to stdout.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _ANY = "*"  # the type in ROS 1's master where it is unknown
 
 @dataclass(frozen=True)
 class Graph:
-    """What the doctor saw of the ROS graph through a backend, its own nodes and endpoints left out.
+    """The ROS graph as the doctor saw it through a backend, without its own nodes and endpoints.
 
-    ``names`` has each topic, service and action of the configuration with its name in ROS, after remapping;
+    ``names`` maps each topic, service and action of the configuration to its name in ROS, after remapping;
     ``bridge`` is the full name of the configuration's own node, ``where`` the domain or master in words.
     """
 
@@ -56,16 +56,16 @@ def judge_graph(
     *,
     bridge_runs: bool,
 ) -> Iterator[Finding]:
-    """Compare each topic, service and action with what the graph has.
+    """Compare each topic, service and action with the graph.
 
-    ``type_hash`` returns what a node of the configuration's distribution announces for a type, empty if such
-    nodes announce nothing; ``bridge_runs``: a bridge holds the configuration's objects.
+    ``type_hash`` returns the hash that nodes of the configuration's distribution announce for a type, or an
+    empty text; ``bridge_runs``: a bridge holds the configuration's objects.
     """
     others, info = [node for node in graph.info.nodes if node != graph.bridge], graph.info
     empty = not others and not info.endpoints
     if others or empty:
         what = (
-            f"no other node was seen in {graph.where}, over {graph.backend}{elsewhere(graph.where)}"
+            f"no other node was seen in {graph.where} (backend {graph.backend}){elsewhere(graph.where)}"
             if empty
             else ""
         )
@@ -129,18 +129,18 @@ def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator
 
 
 def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool) -> Finding | None:
-    """Return what is wrong between a peer and the bridge's endpoint, in the bridge's own words."""
+    """Return why a peer and the bridge's endpoint do not match, in the words that the bridge uses."""
     verb = "publishes" if end.direction == "out" else "subscribes to"
     who = f"node {end.node}" if end.node else "a node without a name"
     does = f"{who} {verb} {end.topic} as {end.type_name}"
     if end.type_name == _ANY:
         return found("DOC518", f"{who} {verb} {end.topic}, whose type is unknown")
     if end.type_name != plan.type_name:
-        remedy = f"Write `type: {end.type_name}` for {plan.topic}, or change the node."
+        remedy = f"Set `type: {end.type_name}` for {plan.topic}, or change the node."
         return found("DOC512", f"{does}, but the local type is {plan.type_name} [ROS003]", remedy)
     if ours and end.type_hash and ours != end.type_hash:
         there, here = end.type_hash[7:15], ours[7:15]
-        what = f"{does} with another definition (type hash {there}…, locally {here}…) [ROS003]"
+        what = f"{does} with a different definition (type hash {there}…, local {here}…) [ROS003]"
         return found("DOC513", what, command=f"ros2 interface show {end.type_name}")
     offered, requested = (end.qos, plan.qos) if end.direction == "out" else (plan.qos, end.qos)
     problem = incompatibility(offered, requested)
@@ -155,7 +155,7 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
         settings = ", ".join(f"{key}: {theirs}" for key, theirs, own in pairs if theirs != own)
         remedy = "Change these settings of the node: the bridge does not support them."
         if problem:
-            remedy = f"Write `qos: {{{settings}}}` for {plan.topic}."
+            remedy = f"Set `qos: {{{settings}}}` for {plan.topic}."
         return found("DOC514", f"{does}, but {obstacles} [ROS004]", remedy)
     if not (ours and end.type_hash):
         return found("DOC518", f"{does}, but does not announce its definition")
@@ -165,7 +165,7 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
 def _nobody(graph: Graph, name: str, plan: TopicPlan, *, to_plc: bool) -> Finding:
     what = f"no node {'publishes' if to_plc else 'subscribes to'} {name}"
     if near := _similar(graph, name, plan.type_name):
-        remedy = f"Correct the name, or write `ros: {{remap: {{{name}: {near}}}}}`."
+        remedy = f"Correct the name, or set `ros: {{remap: {{{name}: {near}}}}}`."
         return found("DOC515", f"{what}; did you mean {near}?", remedy)
     if to_plc:
         return found("DOC511", what, command=f"ros2 topic info -v {name}")
@@ -173,7 +173,7 @@ def _nobody(graph: Graph, name: str, plan: TopicPlan, *, to_plc: bool) -> Findin
 
 
 def _similar(graph: Graph, name: str, type_name: str) -> str:
-    """Return the topic of another node that was probably meant; empty if none looks like it."""
+    """Return the topic of another node that was probably meant; empty if no name is similar."""
     info = graph.info
     own = {*graph.names.values(), *graph.names, name, "/diagnostics", "/rosout", "/parameter_events"}
     theirs = {end.topic for end in info.endpoints if end.node != graph.bridge}
@@ -194,10 +194,10 @@ _LONGEST_WORDS = 200
 
 
 def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Graph:
-    """Look at the ROS graph of a configuration in another process, for at most so many seconds.
+    """Examine the ROS graph of a configuration in another process, for at most ``seconds``.
 
-    Raises BackendError as the middleware or the backend; TimeoutError: it did not end in time, and was
-    killed.
+    Raises BackendError if the middleware or the backend fails; TimeoutError if the process does not end in
+    time, and is killed.
     """
     command = [sys.executable, "-c", _PROGRAM, str(config), str(seconds)]
     own, most = dict(variables), seconds + _START_S
@@ -217,7 +217,7 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
         raise BackendError("ROS002", what) from None
     if isinstance(answer, RosplcError):
         if words and answer.code == "ROS002":  # what the library wrote would be lost with the process
-            what = f"{answer.what} (the library: {words})"
+            what = f"{answer.what} (library output: {words})"
             answer = BackendError(answer.code, what, where=answer.where, remedy=answer.remedy)
         raise answer
     assert isinstance(answer, Graph)
@@ -255,7 +255,7 @@ def _look(project: Project, seconds: float) -> Graph:
 
 
 def main() -> None:
-    """Write what is seen, or the error, to stdout."""
+    """Write the graph, or the error, to stdout."""
     # Libraries write to stdout as they like; the answer goes to where stdout was.
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

@@ -1,4 +1,4 @@
-"""Objects as files: left behind, damaged, somebody else's, open to everybody; and those of classic topics."""
+"""Objects as files: unused, damaged, of another user, or open to all users; and those of classic topics."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from rosplc.shm.constants import STATE_RETIRED
 from rosplc.shm.names import file_name
 
 _HIDDEN = ("SHM102", "SHM123")
-"""Errors that say nothing about an object: no right, or no descriptor, to look at it."""
+"""Errors that do not concern the object: a missing permission or descriptor to examine it."""
 
 
 def concerned(objects: Objects, prefix: str | None) -> tuple[Seen, ...]:
-    """Return the objects to judge: of one prefix, or, without one, all that are a bridge's.
+    """Return the objects to judge: those of one prefix or, without a prefix, all that belong to a bridge.
 
-    Any program may have a file whose name looks like an object's. Without a prefix it counts only if it is
-    sound, has the default prefix, or has a lock file beside it.
+    Any program may have a file whose name looks like an object's. Without a prefix, such a file counts
+    only if it is valid, has the default prefix, or has a lock file beside it.
     """
     if prefix is not None:
         return tuple(seen for seen in objects.objects if seen.prefix == prefix)
@@ -37,7 +37,7 @@ def concerned(objects: Objects, prefix: str | None) -> tuple[Seen, ...]:
 
 
 def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path] | None) -> Iterator[Finding]:
-    """Report objects that no bridge holds; without a configuration, ``configured`` (paths) is None."""
+    """Report objects that no bridge holds; ``configured`` (paths) is None if there is no configuration."""
     seen = [each for each in concerned(objects, prefix) if each.error is None and not each.live]
     unknown = [each for each in seen if each.held is None]
     idle = [each for each in seen if each.held is False]
@@ -47,12 +47,12 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     if unknown:
         what = plural(len(unknown), "object")
         yield found("DOC003", f"cannot determine which process uses {what}: /proc/locks cannot be read")
-    what = f"no running bridge uses {plural(len(left), 'object')}: {_names(left)}" if left else ""
+    what = f"these objects are not used by a running bridge: {_names(left)}" if left else ""
     yield judged("DOC205", what, "every object belongs to a running bridge", command=_clean(left, objects))
-    what = f"neither in use nor in the configuration: {_names(strangers)}" if strangers else ""
-    well = "all objects belong to topics in the configuration"
-    yield judged("DOC206", what, well, command=_clean(strangers, objects))
-    yield judged("DOC208", f"retired: {_names(retired)}" if retired else "", "no retired objects are left")
+    what = f"these unused objects are not in the configuration: {_names(strangers)}" if strangers else ""
+    yield judged("DOC206", what, "all objects are in the configuration", command=_clean(strangers, objects))
+    what = f"retired objects: {_names(retired)}" if retired else ""
+    yield judged("DOC208", what, "there are no retired objects")
     # A bridge that runs may be making a temporary at this moment.
     busy = {each.path.name for each in objects.objects if each.live}
     gone = [
@@ -60,20 +60,20 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
         for path in objects.temporaries
         if (name := file_name(path.name)) and name.prefix == (prefix or name.prefix) and name.item not in busy
     ]
-    what = f"{plural(len(gone), 'temporary file')} of a killed bridge" if gone else ""
+    what = f"a killed bridge left {plural(len(gone), 'temporary file')} behind" if gone else ""
     command = f"rosplc clean --prefix {gone[0].prefix}" if gone else ""
-    yield judged("DOC207", what, "no temporary files are left", command=command)
+    yield judged("DOC207", what, "there are no temporary files", command=command)
     without = [
         each
         for each in concerned(objects, prefix)
         if each.bridge_beats and not each.held and lock_of(each.path) not in objects.locks
     ]
-    what = f"a bridge is running without a lock file: {_names(without)}" if without else ""
-    yield judged("DOC213", what, "every object of a running bridge has its lock file")
+    what = f"a running bridge has no lock files for {_names(without)}" if without else ""
+    yield judged("DOC213", what, "every object of a running bridge has a lock file")
 
 
 def _clean(gone: Sequence[Seen], objects: Objects, *, root: bool = False) -> str:
-    """Return the commands that remove objects: by prefix, by topic where a prefix has others, too."""
+    """Return the commands that remove objects: by prefix, or by topic if the prefix has other objects."""
     paths = {seen.path for seen in gone}
     commands = []
     for prefix in sorted({seen.prefix for seen in gone}):
@@ -92,7 +92,7 @@ def _names(seen: Sequence[Seen]) -> str:
 
 
 def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
-    """Report which objects are damaged, are no objects, or may not be looked at."""
+    """Report which objects are damaged, are not objects, or cannot be examined for lack of permission."""
     # Without a configuration it is unknown whether a bridge of this machine needs these names.
     level = Level.WARNING if prefix is None else None
     codes = set()
@@ -111,7 +111,7 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
         else:
             yield found("DOC211", what, error.remedy, level=level)
     if "SHM121" not in codes:
-        yield fine("DOC212", "plain files at the objects' names")
+        yield fine("DOC212", "all objects are plain files")
     if not codes - {"", "SHM121"}:
         yield fine("DOC211", "no object is damaged")
 
@@ -119,20 +119,20 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
 def ownership(
     objects: Objects, prefix: str | None, owners: Collection[int], *, root: bool
 ) -> Iterator[Finding]:
-    """Report which objects are another user's, and which are open to all users.
+    """Report which objects belong to another user, and which are accessible to all users.
 
     ``owners`` are users whose objects a bridge of this user may take over; ``root``: this user is root.
     """
     files = [seen for seen in concerned(objects, prefix) if stat.S_ISREG(seen.status.st_mode)]
     others = [] if prefix is None else [s for s in files if s.status.st_uid not in owners and not s.live]
     names = listed(sorted({user_name(seen.status.st_uid) for seen in others}))
-    what = f"owned by {names}: {listed(seen.label for seen in others)}" if others else ""
+    what = f"these objects belong to {names}: {listed(seen.label for seen in others)}" if others else ""
     command = _clean(others, objects, root=not root)
     yield judged("DOC209", what, "no object of another user blocks the bridge", command=command)
     open_ = {seen.label: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
     who = "change" if max(open_.values(), default=0) & 0o002 else "read"
     what = f"all users can {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
-    remedy = "Write `shm: {mode: '0660', group: GROUP}` in the configuration, and restart the bridge."
+    remedy = "Set `shm: {mode: '0660', group: GROUP}` in the configuration, and restart the bridge."
     yield judged("DOC210", what, "no object is accessible to all users", remedy)
 
 
@@ -146,17 +146,17 @@ def locks(
 ) -> Iterator[Finding]:
     """Judge the semaphores of the configuration's classic topics.
 
-    ``bits`` is the word size of the programs that a bridge shares them with: its own.
+    ``bits`` is the word size of the bridge, which the programs that use its semaphores must share.
     """
     paths = {plan.semaphore: directory / f"sem.{plan.semaphore}" for plan in plans if plan.semaphore}
     present = {name: path for name, path in sorted(paths.items()) if path.is_file()}
     other = {name: size for name, path in present.items() if (size := path.stat().st_size) != bits // 2}
     for name, size in other.items():
-        made = f"{_SIZES[size]}-bit programs" if size in _SIZES else "an unknown C library"
+        made = f"a {_SIZES[size]}-bit program" if size in _SIZES else "an unknown C library"
         what = f"sem.{name} was created by {made} ({size} bytes), but the bridge is {bits}-bit"
         yield found("DOC215", what)
     if not other:
-        yield fine("DOC215", "semaphores have this machine's word size")
+        yield fine("DOC215", "all semaphores have the bridge's word size")
     same = {name: path for name, path in present.items() if name not in other}
     most = dict.fromkeys(same, 0)
     for look in range(_LOOKS):
@@ -166,11 +166,11 @@ def locks(
         if look < _LOOKS - 1:
             sleep(_PAUSE_S)
     taken = [name for name, value in most.items() if not value]
-    what = f"locked at each of {_LOOKS} checks: {listed(taken)}" if taken else ""
+    what = f"these semaphores were locked at each of {_LOOKS} checks: {listed(taken)}" if taken else ""
     command = _remove(*(same[name] for name in taken)) if taken else ""
     yield judged("DOC214", what, "no semaphore of a classic topic stays locked", command=command)
     many = [f"{name} ({value})" for name, value in most.items() if value > 1]
-    what = f"semaphores that admit more than one process: {listed(many)}" if many else ""
+    what = f"these semaphores admit more than one process: {listed(many)}" if many else ""
     yield judged("DOC216", what, "no semaphore admits more than one process")
 
 
@@ -179,7 +179,7 @@ def _remove(*paths: Path) -> str:
 
 
 def sizes(directory: Path, plans: Sequence[tuple[str, ClassicPlan, int]]) -> Iterator[Finding]:
-    """Judge the memories' sizes; ``plans`` has topic, plan and bytes of its record."""
+    """Judge the sizes of classic memory; ``plans`` has topic, plan and record size in bytes."""
     small = []
     for topic, plan, record in plans:
         path = directory / plan.name
@@ -192,7 +192,7 @@ def sizes(directory: Path, plans: Sequence[tuple[str, ClassicPlan, int]]) -> Ite
 def create_or_open(
     root: Path, directory: Path, plans: Sequence[ClassicPlan], uids: Sequence[int]
 ) -> Iterator[Finding]:
-    """Judge whether the kernel lets a runtime, one of ``uids``, create-or-open what another user has made."""
+    """Judge whether the kernel lets a runtime, one of ``uids``, open another user's objects with O_CREAT."""
     try:
         protected = int((root / "proc/sys/fs/protected_regular").read_text(encoding="ascii"))
     except (OSError, ValueError):
@@ -205,8 +205,8 @@ def create_or_open(
     for uid in uids if protected and folder.st_mode & 0o1002 == 0o1002 else ():
         closed = [name for name, owner in owners.items() if owner not in (uid, folder.st_uid)]
         if closed and not seen:
-            who = (
-                f"{user_name(owners[closed[0]])} owns {listed(closed)}; the runtime runs as {user_name(uid)}"
+            seen = (
+                f"{user_name(uid)}, the user of the runtime, cannot open {listed(closed)} with O_CREAT: "
+                f"the owner is {user_name(owners[closed[0]])}, and fs.protected_regular is {protected}"
             )
-            seen = f"fs.protected_regular is {protected}; {who}"
     yield judged("DOC218", seen, "the kernel lets the runtime open classic objects with O_CREAT")

@@ -1,4 +1,4 @@
-"""The computer itself: processor, clock, limits, log-out, /dev/shm; and what is installed on it."""
+"""The machine itself: processor, clock, limits, logout, /dev/shm and installed packages."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.rights import Mount
 from rosplc.errors import RosplcError
+from rosplc.harmless import plural
 from rosplc.ros import BACKENDS, INSTALL
 from rosplc.ros.choice import choose, why_not_installed
 
@@ -43,8 +44,8 @@ def architecture(
     wrong = "" if machine in _TESTED else f"{seen}, on which rosplc is not tested"
     wrong = wrong if little else f"{seen}, which is big-endian"
     yield judged("DOC101", wrong, seen, level=None if little else Level.ERROR)
-    mixed = f"32-bit Python on a 64-bit kernel ({machine})" if bits == 32 and machine in _WIDE else ""
-    yield judged("DOC102", mixed, f"{bits}-bit Python")
+    mixed = f"Python is 32-bit on a 64-bit kernel ({machine})" if bits == 32 and machine in _WIDE else ""
+    yield judged("DOC102", mixed, f"Python is {bits}-bit")
 
 
 def clock(now_s: float) -> Iterator[Finding]:
@@ -52,18 +53,18 @@ def clock(now_s: float) -> Iterator[Finding]:
     unset = "the clock shows a time before 2025: it has not been set since the machine started"
     remedy = "Set the clock; a board without a battery needs NTP or PTP."
     seen = unset if now_s < _RELEASED_S else ""
-    yield judged("DOC103", seen, "the clock is plausible", remedy, "timedatectl set-ntp true")
+    yield judged("DOC103", seen, "the clock shows a plausible time", remedy, "timedatectl set-ntp true")
 
 
 def open_files(limit: int, topics: int) -> Iterator[Finding]:
-    """Judge the soft limit on open files (``resource.RLIM_INFINITY`` for none) for so many topics."""
+    """Judge the soft limit on open files (``resource.RLIM_INFINITY``: none) for this number of topics."""
     # A lock file per topic at least; a memory, a semaphore and sockets of two ROS 1 peers at most.
     least, usual = 48 + topics, 128 + 4 * topics
     if limit == resource.RLIM_INFINITY or limit >= usual:
         allowed = "any number of" if limit == resource.RLIM_INFINITY else str(limit)
         yield fine("DOC104", f"{allowed} open files are allowed")
         return
-    seen = f"{limit} open files are allowed; {topics} topics need {least} to {usual} files"
+    seen = f"{limit} open files are allowed, but {plural(topics, 'topic')} may need {least} to {usual} files"
     remedy = f"Raise the limit in the shell, or with LimitNOFILE={usual} in a systemd unit."
     level = Level.ERROR if limit < least else Level.WARNING
     yield found("DOC104", seen, remedy, f"ulimit -n {usual}", level)
@@ -72,14 +73,14 @@ def open_files(limit: int, topics: int) -> Iterator[Finding]:
 def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding]:
     """Report whether real-time priority and locked memory are permitted.
 
-    ``priority`` and ``locked`` (bytes) are soft limits, ``resource.RLIM_INFINITY`` for none; ``capabilities``
-    are the process's effective ones, as a set of bits.
+    ``priority`` and ``locked`` (bytes) are soft limits, ``resource.RLIM_INFINITY`` if unlimited;
+    ``capabilities`` are the effective capabilities of the process, as a set of bits.
     """
     may_run = priority != 0 or capabilities >> _CAP_SYS_NICE & 1
     may_lock = locked == resource.RLIM_INFINITY or locked >= _ENOUGH or capabilities >> _CAP_IPC_LOCK & 1
     amount = "any amount" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
-    seen = f"permitted: real-time priority up to {priority}, {amount} of locked memory"
-    remedy = "If real time matters, set LimitRTPRIO= and LimitMEMLOCK= in the systemd unit."
+    seen = f"this user may use real-time priority up to {priority} and lock {amount} of memory"
+    remedy = "For real-time operation, set LimitRTPRIO= and LimitMEMLOCK= in the systemd unit."
     well = "real-time priority and locked memory are permitted"
     yield judged("DOC105", "" if may_run and may_lock else seen, well, remedy)
 
@@ -93,11 +94,11 @@ def logout(root: Path, uid: int, user: str) -> Iterator[Finding]:
     if not (root / "run/systemd/seats").is_dir():
         yield fine("DOC106", "systemd-logind is not running")
     elif not value:
-        yield fine("DOC106", f"RemoveIPC=no in {where}")
+        yield fine("DOC106", f"RemoveIPC=no is set in {where}")
     elif uid < _FIRST_PERSON or uid in _SERVICES:
         yield fine("DOC106", f"{user} is a system user, so systemd does not remove its objects")
     elif (root / "var/lib/systemd/linger" / user).exists():
-        yield fine("DOC106", f"{user} has lingering enabled, so systemd does not remove its objects")
+        yield fine("DOC106", f"lingering is enabled for {user}, so systemd does not remove its objects")
     else:
         seen = f"RemoveIPC=yes ({where}), and {user} is an ordinary user"
         remedy = "Run the bridge as a system user (`rosplc service install`), or enable lingering."
@@ -125,15 +126,14 @@ def _remove_ipc(root: Path) -> tuple[bool, str]:
 
 
 def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
-    """Judge what the kernel has mounted at /dev/shm (None: nothing), and whether objects are there."""
+    """Judge what is mounted at /dev/shm (None: nothing), and whether it contains the objects."""
     if not directory.is_dir():
         yield found("DOC201", f"{directory} is not a folder", command=f"mkdir -p {directory}")
     elif directory != Path("/dev/shm"):
         seen = f"shm.directory is {directory}, but PLCs use /dev/shm"
         yield found("DOC201", seen, "Remove shm.directory, unless this is a test.", level=Level.WARNING)
     elif mount is None or mount.point != "/dev/shm" or mount.kind not in ("tmpfs", "ramfs"):
-        is_there = mount is not None and mount.point == "/dev/shm"
-        what = f"it is {mount.kind}" if mount is not None and is_there else "nothing is mounted there"
+        what = f"it is {mount.kind}" if mount and mount.point == "/dev/shm" else "nothing is mounted there"
         mend = "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
         yield found("DOC201", f"/dev/shm is not a memory file system: {what}", command=mend)
     else:
@@ -143,7 +143,7 @@ def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
 
 
 def mode(directory: Path, *, writable: bool) -> Iterator[Finding]:
-    """Judge the directory's mode; ``writable``: this user may make files in it."""
+    """Judge the directory's mode; ``writable``: this user may create files in it."""
     bits = stat.S_IMODE(directory.stat().st_mode)
     seen = f"{directory} has mode {bits:04o}"
     what = seen if writable else f"{seen}, and this user may not create files there"
@@ -153,10 +153,10 @@ def mode(directory: Path, *, writable: bool) -> Iterator[Finding]:
 
 
 def room(directory: Path, space: os.statvfs_result, needed: int, present: int) -> Iterator[Finding]:
-    """Judge the room for objects.
+    """Judge the space for objects.
 
-    ``needed`` are the bytes of all of the configuration's objects (0 without one), ``present`` those of the
-    objects that exist already, as they are allocated.
+    ``needed`` is the size of all objects of the configuration in bytes (0 without a configuration),
+    ``present`` the allocated size of those that exist already.
     """
     size, free = space.f_blocks * space.f_frsize, space.f_bavail * space.f_frsize
     seen = f"{directory} has {_mib(free)} of {_mib(size)} free"
@@ -164,7 +164,7 @@ def room(directory: Path, space: os.statvfs_result, needed: int, present: int) -
     if missing > free:
         # A bridge makes a new object beside the old one, so twice the need is required.
         mib = -(-(size + 2 * missing) // _MIB)
-        remedy = "Enlarge it (containers: --shm-size), or lower the limits or depth of topics."
+        remedy = f"Enlarge {directory} (containers: --shm-size), or lower the limits or depth of topics."
         command = f"sudo mount -o remount,size={mib}m {directory}"
         what = f"{seen}; the configuration's objects need another {_mib(missing)}"
         yield found("DOC203", what, remedy, command)
@@ -185,7 +185,7 @@ _ZENOH_MACHINES = ("x86_64", "i686", "aarch64", "armv7l", "armv6l")
 
 
 def needed() -> list[str]:
-    """Return the names of the packages that rosplc cannot do without, from its own metadata."""
+    """Return the names of the packages that rosplc requires, from its own metadata."""
     try:
         lines = requires("rosplc") or []
     except PackageNotFoundError:
@@ -196,7 +196,7 @@ def needed() -> list[str]:
 def packages(
     names: list[str], python: str, release: str, *, version_of: Callable[[str], str] = version
 ) -> Iterator[Finding]:
-    """Report the versions of what is installed, and what is missing of the required ``names``.
+    """Report the versions of installed packages, and which of the required ``names`` are missing.
 
     ``version_of`` returns a package's version, or raises PackageNotFoundError.
     """
@@ -208,12 +208,12 @@ def packages(
             missing += [] if name in _OPTIONAL else [name]
     if missing:
         command = pip_here(f"pip install {' '.join(missing)}")
-        yield found("DOC110", f"not installed: {', '.join(missing)}", command=command)
+        yield found("DOC110", f"required packages are not installed: {', '.join(missing)}", command=command)
     yield fine("DOC110", f"rosplc {release}, Python {python}, {', '.join(present) or 'no other packages'}")
 
 
 def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
-    """Report which ways into ROS have no wheel on PyPI for this machine (``uname -m``) and Python."""
+    """Report which backends have no wheel on PyPI for this machine (``uname -m``) and Python version."""
     missing = []
     if machine not in _DDS_MACHINES:
         missing.append(f"cyclonedds for {machine}")
@@ -238,8 +238,8 @@ def backend(
 ) -> Iterator[Finding]:
     """Report which backend a bridge would use here, and why.
 
-    ``wanted`` is ``ros.backend``; without a configuration a bad choice is only a warning; ``missing`` returns
-    why a backend cannot be imported, empty if it can.
+    ``wanted`` is ``ros.backend``; without a configuration, an unusable choice is only a warning; ``missing``
+    returns why a backend cannot be imported, or an empty text if it can.
     """
     if wanted != "auto":
         reason = missing(wanted)
@@ -255,16 +255,16 @@ def backend(
         level = Level.ERROR if configured else Level.WARNING
         yield found("DOC112", error.what, error.remedy, level=level)
         return
-    usable = ", ".join(name for name in BACKENDS if name != "memory" and not missing(name))
-    yield fine("DOC112", f"backend auto selects {choice.name}, because {choice.why}; usable: {usable}")
+    ways = ", ".join(name for name in BACKENDS if name != "memory" and not missing(name))
+    yield fine("DOC112", f"backend auto selects {choice.name}, because {choice.why}; usable backends: {ways}")
 
 
 def pip_here(text: str) -> str:
-    """Return a text whose ``pip install`` and ``'rosplc[EXTRA]'`` are what works where rosplc is installed.
+    """Return a text whose ``pip install`` and ``'rosplc[EXTRA]'`` fit the way in which rosplc is installed.
 
-    That is the pip of a virtual environment, ``pipx inject`` in one that pipx made, a new virtual environment
-    where the system manages Python (PEP 668) or the environment has no pip, as the Debian package's, and the
-    checkout's path for an editable installation.
+    A virtual environment has its own pip, and one created by pipx uses ``pipx inject``. A new virtual
+    environment is needed if the system manages Python (PEP 668) or the environment has no pip, as that of the
+    Debian package. An editable installation is specified by the path of its checkout.
     """
     python, prefix = shlex.quote(sys.executable), Path(sys.prefix)
     pip = prefix / "bin" / "pip"

@@ -1,4 +1,4 @@
-"""Where in the ROS world a bridge would be: variables, interfaces, and whether somebody answers there."""
+"""The ROS environment of a bridge: variables, network interfaces, and the ROS master or Zenoh router."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 @dataclass(frozen=True)
 class Wish:
-    """The configuration's ROS settings; ``backend`` empty if not known, ``domain`` None if none is set."""
+    """The configuration's ROS settings; ``backend`` is empty if unknown, ``domain`` None if not set."""
 
     distro: str
     ros1: bool
@@ -37,12 +37,12 @@ def distro(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     other = wish is not None and here and here != wish.distro
     seen = f"ROS_DISTRO is {here}, but ros.distro is {wish.distro}" if wish and other else ""
     unset = "ROS_DISTRO is not set: no ROS installation is sourced, and none is needed"
-    remedy = f"Write `ros: {{distro: {here}}}`, or source the setup.bash of ros.distro."
+    remedy = f"Set `ros: {{distro: {here}}}`, or source the setup.bash of the configured distribution."
     yield judged("DOC401", seen, f"ROS_DISTRO is {here}" if here else unset, remedy)
 
 
 def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
-    """Judge whether ROS knows the variables' values."""
+    """Judge whether the variables have values that are valid in ROS."""
 
     def is_domain(text: str) -> bool:
         return text.isascii() and text.isdigit() and len(text) < 10 and int(text) <= _MAX_DOMAIN
@@ -64,7 +64,7 @@ def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
 
 
 def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
-    """Compare the domains of shell and configuration."""
+    """Compare the domain of the shell with that of the configuration."""
     here = environment.get("ROS_DOMAIN_ID", "") or "0"
     if wish is not None and wish.ros1:
         return
@@ -82,19 +82,19 @@ def middleware(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Fi
     rmw = environment.get("RMW_IMPLEMENTATION", "").strip()
     word = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "RMW_IMPLEMENTATION is not set, so nodes use DDS"
     if wish is not None and wish.ros1:
-        yield fine("DOC404", "ROS 1 has no RMW_IMPLEMENTATION")
+        yield fine("DOC404", "ROS 1 does not use RMW_IMPLEMENTATION")
     elif wish is None or wish.backend in ("", "rclpy", "memory"):
         yield fine("DOC404", word)
     else:
         zenoh = wish.backend == "zenoh"
         what = "" if zenoh == (rmw == "rmw_zenoh_cpp") else f"{word}, but the backend is {wish.backend}"
-        remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or unset RMW_IMPLEMENTATION for nodes."
+        remedy = None if zenoh else "Set `ros: {backend: zenoh}`, or unset RMW_IMPLEMENTATION for the nodes."
         command = "export RMW_IMPLEMENTATION=rmw_zenoh_cpp" if zenoh else ""
         yield judged("DOC404", what, f"{word}, which matches backend {wish.backend}", remedy, command)
 
 
 def reach(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
-    """Report what limits discovery."""
+    """Report variables that limit discovery."""
     if wish is not None and (wish.ros1 or wish.backend == "zenoh"):
         return
     variable = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -117,10 +117,10 @@ def addresses(
     resolve: Callable[[str], list[str]],
     is_local: Callable[[str], bool],
 ) -> Iterator[Finding]:
-    """Judge the hosts that ROS was given.
+    """Judge the hosts in the ROS environment variables.
 
-    ``resolve`` returns a name's IPv4 addresses, or raises OSError; ``is_local``: an address is this
-    machine's.
+    ``resolve`` returns a name's IPv4 addresses, or raises OSError; ``is_local`` returns whether an address
+    belongs to this machine.
     """
     if wish is None or not wish.ros1:
         yield from _peers(environment.get("ROS_STATIC_PEERS", ""), resolve)
@@ -151,7 +151,7 @@ def _peers(text: str, resolve: Callable[[str], list[str]]) -> Iterator[Finding]:
         except (OSError, UnicodeError):
             bad.append(host)
     if hosts:
-        seen = f"cannot be resolved: {listed(f'{host} (ROS_STATIC_PEERS)' for host in bad)}" if bad else ""
+        seen = f"names in ROS_STATIC_PEERS cannot be resolved: {listed(bad)}" if bad else ""
         command = f"getent hosts {bad[0]}" if bad else ""
         yield judged("DOC406", seen, "all names in ROS_STATIC_PEERS can be resolved", command=command)
 
@@ -166,7 +166,7 @@ def resolve(host: str) -> list[str]:
 
 
 def is_local(address: str) -> bool:
-    """Return whether an IPv4 address is this machine's: a server can listen only on such a one."""
+    """Return whether an IPv4 address belongs to this machine, so that a server can listen on it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, 0))
@@ -176,7 +176,7 @@ def is_local(address: str) -> bool:
 
 
 def answers(host: str, port: int) -> str:
-    """Return why a TCP connection is refused there; empty if it is accepted."""
+    """Return why a host and port refuse a TCP connection; empty if they accept it."""
     try:
         socket.create_connection((host, port), _PATIENCE_S).close()
     except (OSError, UnicodeError, OverflowError) as error:
@@ -200,13 +200,13 @@ def multicast(sys: Path) -> Iterator[Finding]:
     if local:
         what = "no active interface other than loopback supports multicast: only local nodes can be found"
         command = "ip link"
-    yield judged("DOC407", "" if good else what, f"multicast on {', '.join(good)}", command=command)
+    yield judged("DOC407", "" if good else what, f"multicast interfaces: {', '.join(good)}", command=command)
 
 
 def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -> Iterator[Finding]:
     """Judge whether each topic's largest message fits into its subscribers' buffers.
 
-    Towards ROS, subscribers are taken to have this machine's settings; ``root`` contains ``proc``;
+    Subscribers in ROS are assumed to have this machine's settings; ``root`` contains ``proc``;
     ``cyclone``: the bridge itself uses Cyclone DDS, otherwise Fast DDS.
     """
     default = default_buffer(root)
@@ -226,13 +226,13 @@ def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -
             level = level if plan.qos.reliability == "reliable" else Level.WARNING
     wanted = max(1 << 22, 1 << needed.bit_length() + 1)
     command = f"sudo sysctl -w net.core.rmem_default={wanted} net.core.rmem_max={wanted}"
-    seen = f"messages larger than the receive buffer: {listed(large)}" if large else ""
+    seen = f"messages may be larger than the receive buffer: {listed(large)}" if large else ""
     well = "the largest messages fit into the receive buffers"
     yield judged("DOC411", seen, well, command=command, level=level)
 
 
 def no_master(uri: str) -> str:
-    """Return why what answers there is no ROS master; empty if it is one, or ROS 1 is not installed."""
+    """Return why the server is not a ROS master; empty if it is one, or if ROS 1 is not installed."""
     try:
         from rosplc.ros.rospy.master import Master, UnreachableError
     except ImportError:
@@ -252,8 +252,8 @@ def master(
 ) -> Iterator[Finding]:
     """Judge whether the ROS master answers.
 
-    ``call`` returns why a host and port do not answer, ``ask`` why that is no master; both empty if all is
-    well.
+    ``call`` returns why a host and port do not answer, ``ask`` why the server is not a ROS master; both
+    return an empty text if there is no problem.
     """
     try:
         parts = urlsplit(uri)

@@ -1,8 +1,8 @@
-"""The objects of this machine, watched for a while: which processes hold them, and which sides beat.
+"""The objects of this machine, watched for a while: which processes hold them, which sides have a heartbeat.
 
-Nothing is mapped, locked or written: everything is read with ``pread`` and from ``/proc/locks``. To try a
-lock is to take it, which would keep a starting bridge out. What a running bridge and a running PLC share is
-compared with the configuration.
+Nothing is mapped, locked or written: everything is read with ``pread`` and from ``/proc/locks``. Trying a
+lock would take it, and keep a starting bridge from it. The objects that a running bridge and a running PLC
+share are compared with the configuration.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from rosplc.shm.names import file_name
 
 _PAUSE_S = 0.05
 _LEAST_MS, _LEAST_UNHELD_S, _MOST_S = 667, 0.5, 3.5
-"""Who promises to beat ten times a second may still not get to it on a machine with other work."""
+"""A program that should beat ten times per second may be late on a busy machine."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One object while it was looked at.
+    """One object during its examination.
 
-    ``topic`` is the topic, service or action, as far as name or self-description tell, else the object's
-    name; ``status`` has owner, mode and size, of a link the link's own. ``error`` is the check of the format
-    that failed; ``identity`` (lines 0 and 1) and ``description`` are None if they cannot be read;
-    ``snapshot`` has the counters at the end. ``held``: a bridge holds its lock, None if that cannot be seen;
-    ``bridge_beats`` and ``plc_beats``: that side moved; ``plc_lines`` are, towards the PLC, the reader lines
-    that moved.
+    ``topic`` is the topic, service or action from its name or self-description, or else the object's name;
+    ``status`` has owner, mode and size, for a link those of the link. ``error`` is the format check that
+    failed; ``identity`` (lines 0 and 1) and ``description`` are None if they cannot be read; ``snapshot`` has
+    the counters at the end. ``held``: a bridge holds its lock, None if unknown; ``bridge_beats`` and
+    ``plc_beats``: that side had a heartbeat; ``plc_lines``: in an object that the PLC reads, the reader lines
+    with a heartbeat.
     """
 
     path: Path
@@ -59,19 +59,19 @@ class Seen:
 
     @property
     def label(self) -> str:
-        """What people call it: ``/cmd_vel``, ``/gripper/close request left``."""
+        """The object's name for people: ``/cmd_vel``, ``/gripper/close request left``."""
         if self.description is None or self.description.part is Part.TOPIC:
             return self.topic
         return f"{self.topic} {self.description.part.word} {self.description.client}".rstrip()
 
     @property
     def live(self) -> bool:
-        """Whether a bridge has it now; over containers only the beat can tell."""
+        """Whether a bridge uses the object now; across containers, only the heartbeat shows this."""
         return bool(self.held) or self.bridge_beats
 
     @property
     def bridge_pid(self) -> int:
-        """The bridge's process, as it wrote it; 0 if it has no claim."""
+        """The process id that the bridge wrote; 0 if it has no claim."""
         if self.snapshot is None or self.identity is None:
             return 0
         line = self.snapshot.bridge(self.identity.direction)
@@ -80,7 +80,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Objects:
-    """What was found under all prefixes: objects by path, and the paths of lock files and temporaries."""
+    """What was found under all prefixes: objects, and the paths of lock files and temporary files."""
 
     objects: tuple[Seen, ...] = ()
     locks: frozenset[Path] = frozenset()
@@ -106,7 +106,7 @@ class _Image:
 
 
 def lock_holders(directory: Path, prefix: str, held: Held) -> list[int]:
-    """Return the processes that hold the names of a prefix; those of other PID namespaces are left out."""
+    """Return the processes that hold the names of a prefix, without those of other PID namespaces."""
     pids = {holder(path, held) for path in directory.glob(f"{prefix}.l*.*")}
     return sorted(pids - {0})
 
@@ -118,7 +118,7 @@ def lock_of(path: Path) -> Path:
 
 
 def is_held(path: Path, held: Held | None) -> bool | None:
-    """Return whether somebody holds an flock on a file; None if the kernel does not tell."""
+    """Return whether a process holds an flock on a file; None if the kernel does not show this."""
     if held is None:
         return None
     try:
@@ -177,7 +177,7 @@ def look_at_objects(
     seconds: float = _MOST_S,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Objects:
-    """Look at every object for as long as it takes to see the sides that live, at most so many ``seconds``.
+    """Watch every object until the heartbeat of each running side is seen, for at most ``seconds``.
 
     Raises OSError if the directory cannot be listed.
     """
@@ -251,9 +251,9 @@ _RESTART = "See the bridge's log, and restart the bridge."
 
 @dataclass(frozen=True)
 class Carried:
-    """An object that the configuration leads to, and what has its name.
+    """An object that the configuration requires, and the existing object with its name.
 
-    ``use`` is the topic, or the service or action with its client; ``name`` tells its objects apart.
+    ``use`` is the topic, or the service or action with its client; ``name`` distinguishes its objects.
     """
 
     use: str
@@ -264,14 +264,14 @@ class Carried:
 
     @property
     def live(self) -> bool:
-        """Whether a bridge has the object now."""
+        """Whether a bridge uses the object now."""
         return self.seen is not None and self.seen.live
 
 
 def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str) -> Iterator[Finding]:
     """Report whether a bridge holds the topics.
 
-    ``classic`` is classic topic → whether a bridge holds the lock file of its memory.
+    ``classic`` maps each classic topic to whether a bridge holds the lock file of its memory.
     """
     held = {each.use: each.live for each in topics} | dict(classic)
     calls = any(each.use != each.name for each in topics)
@@ -296,7 +296,7 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
 
 
 def bridges(objects: Objects) -> Iterator[Finding]:
-    """Report whether each bridge that holds objects of this machine beats, whatever its prefix."""
+    """Report whether each bridge on this machine has a heartbeat, whatever its prefix."""
     groups: dict[tuple[str, str], list[Seen]] = {}
     for seen in objects.objects:
         if seen.live and seen.description is not None:
@@ -317,9 +317,9 @@ def bridges(objects: Objects) -> Iterator[Finding]:
 
 
 def layouts(topics: Sequence[Carried]) -> Iterator[Finding]:
-    """Compare live objects with what the configuration gives."""
+    """Compare the objects of running bridges with the configuration."""
     wrong = [
-        found("DOC602", f"{each.name}: {difference}")
+        found("DOC602", f"{each.name} has {difference}")
         for each in topics
         if each.seen is not None and each.seen.identity is not None and each.live
         if (difference := _difference(each, each.seen))
@@ -333,22 +333,22 @@ def _difference(plan: Carried, seen: Seen) -> str:
     identity, description = seen.identity, seen.description
     assert identity is not None
     if identity.direction is not plan.direction:
-        return f"the object's direction is {identity.direction.word}, but {plan.direction.word} is configured"
+        return f"direction {identity.direction.word} instead of {plan.direction.word}"
     if identity.layout_id == plan.layout.layout_id:
         return ""
-    what = f"layout {identity.layout_id} running, {plan.layout.layout_id} configured"
+    what = f"layout {identity.layout_id} instead of {plan.layout.layout_id}"
     if description is None:
         return what
     if description.type != plan.layout.type_name:
-        return f"{what}: {description.type} running, {plan.layout.type_name} configured"
+        return f"{what}: type {description.type} instead of {plan.layout.type_name}"
     limits = plan.layout.limits.to_dict()
     there = {key: value for key, value in description.limits.items() if limits.get(key) != value}
     here = {key: limits.get(key) for key in there}
-    return f"{what}: limits {there} running, {here} configured" if there else f"{what}: definitions differ"
+    return f"{what}: limits {there} instead of {here}" if there else f"{what}: the definitions differ"
 
 
 def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
-    """Report which topics no task of a PLC uses, and which layouts running tasks expect."""
+    """Report topics that no PLC task uses, and layouts that running tasks expect."""
     live = [(each, each.seen) for each in topics if each.live and each.seen is not None]
     if not live:
         return
@@ -361,24 +361,24 @@ def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
             continue  # a PLC that writes leaves no layout: with another one it does not claim
         actual = seen.identity.layout_id
         for line in seen.plc_lines:
+            task = f"task {line.task}" if line.task else f"process {line.pid}"
             if line.layout_id not in (actual, _NO_LAYOUT):
-                task = line.task or f"process {line.pid}"
-                what = f"task {task} expects layout {line.layout_id}, but the object has {actual}"
+                what = f"{task} expects layout {line.layout_id}, but the object has layout {actual}"
                 refused.append(found("DOC604", f"{plan.name}: {what}"))
             elif line.error:
                 code = f"SHM{line.error:03d}"
-                what = f"{plan.name}: task {line.task or line.pid} reports error {code}"
+                what = f"{plan.name}: {task} reports error {code}"
                 refused.append(found("DOC604", what, f"Run `rosplc explain {code}`."))
     yield from refused or [fine("DOC604", "no PLC task expects a different layout")]
 
 
 def refusals(topics: Sequence[Carried]) -> Iterator[Finding]:
-    """Report where messages were refused or cut."""
-    refused = []
+    """Report topics whose messages were refused or truncated."""
+    counts = []
     for each in topics:
         if each.live and each.seen is not None and each.seen.snapshot is not None:
             writer = each.seen.snapshot.writer
             if writer.refused or writer.truncated:
-                refused.append(f"{each.name}: {writer.refused} refused, {writer.truncated} truncated")
-    if refused or any(each.live for each in topics):
-        yield judged("DOC605", "; ".join(refused), "no message was refused or truncated")
+                counts.append(f"{each.name}: {writer.refused} messages refused, {writer.truncated} truncated")
+    if counts or any(each.live for each in topics):
+        yield judged("DOC605", "; ".join(counts), "no message was refused or truncated")

@@ -1,4 +1,4 @@
-"""Processes of a CODESYS runtime, from /proc alone: their user, their rights, the /dev/shm that they see."""
+"""Processes of a CODESYS runtime, from /proc alone: their user, their permissions and their /dev/shm."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rosplc.doctor.kinds import fine, found, judged
 from rosplc.harmless import listed, plural
 
 _SHARE = (
-    "Start both containers with the same /dev/shm: docker run --ipc=host, or in compose `ipc: host` "
-    "(or `ipc: shareable` on one and `ipc: service:NAME` on the other), or -v /dev/shm:/dev/shm."
+    "Start both containers with docker run --ipc=host or -v /dev/shm:/dev/shm. With compose, set `ipc: host` "
+    "for both, or `ipc: shareable` for one container and `ipc: service:NAME` for the other."
 )
 _NAME = "codesyscontrol"
 
 
 @dataclass(frozen=True)
 class Mount:
-    """A mounted file system: device and folder in it (``0:27 /``), its type, and its mount point."""
+    """A mounted file system: its device and the folder in it (``0:27 /``), its type and its mount point."""
 
     device: str
     kind: str
@@ -31,9 +31,9 @@ class Mount:
 
 @dataclass(frozen=True)
 class Runtime:
-    """A process of a PLC runtime: the user and groups that it acts as, and what it sees at /dev/shm.
+    """A process of a PLC runtime: its effective user and groups, and what is mounted at its /dev/shm.
 
-    ``bits`` is the word size of its program, 0 if that may not be seen; ``shm`` None likewise.
+    ``bits`` is the word size of its program; 0, and None for ``shm``, if this user may not read it.
     """
 
     pid: int
@@ -45,7 +45,7 @@ class Runtime:
 
 
 def find_runtimes(proc: Path) -> list[Runtime]:
-    """Return the processes named codesyscontrol*; those that end meanwhile are left out."""
+    """Return the processes named codesyscontrol*, without those that end during the search."""
     found = []
     for folder in proc.glob("[0-9]*"):
         with suppress(OSError, ValueError):
@@ -111,7 +111,7 @@ def shm_mount(mountinfo: Path) -> Mount | None:
 
 @dataclass(frozen=True)
 class File:
-    """An object as a file, there already or as the configuration would make it."""
+    """An object as a file, existing or as the configuration would create it."""
 
     name: str
     uid: int
@@ -144,7 +144,7 @@ def may_use(file: File, uid: int, gids: frozenset[int]) -> bool:
 
 
 def rights(files: Sequence[File], uid: int, gids: frozenset[int]) -> Iterator[Finding]:
-    """Judge whether the PLC's user may open the objects, as they are or will be."""
+    """Judge whether the PLC's user may open the objects, as they are or as they will be."""
     user = user_name(uid)
     closed = [file for file in files if not may_use(file, uid, gids)]
     if not closed:
@@ -163,9 +163,9 @@ def rights(files: Sequence[File], uid: int, gids: frozenset[int]) -> Iterator[Fi
 
 
 def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]:
-    """Judge whether the runtimes see the /dev/shm that a bridge here would use.
+    """Judge whether the runtimes have the same /dev/shm as a bridge on this machine.
 
-    The mount decides, not the IPC namespace: POSIX shared memory lies in files.
+    The mount decides, not the IPC namespace: POSIX shared memory consists of files.
     """
     hidden = [each for each in seen if each.shm is None]
     for each in hidden:
@@ -175,13 +175,13 @@ def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]
             yield found("DOC304", f"{each.name} (process {each.pid}) has its own /dev/shm", _SHARE)
             return
     if seen and not hidden:
-        yield fine("DOC304", "the runtime sees the same /dev/shm")
+        yield fine("DOC304", "the runtime uses the same /dev/shm")
 
 
 def container(root: Path, environment_word: str, *, runtime_seen: bool) -> Iterator[Finding]:
-    """Report whether this is a container, by files and by the variable ``container``, which some set.
+    """Report whether the doctor runs in a container, which files or the variable ``container`` indicate.
 
-    ``root`` contains ``run`` and ``proc``; ``runtime_seen``: a PLC runtime runs in it, too.
+    ``root`` contains ``run`` and ``proc``; ``runtime_seen``: a PLC runtime is running in it, too.
     """
     sign = _container_sign(root, environment_word)
     alone = f"the doctor runs in a container ({sign}) without a PLC runtime"

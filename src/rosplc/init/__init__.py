@@ -1,3 +1,3 @@
-"""From a robot, or a recording of one, to a configuration: what is there, what to carry, how much room."""
+"""From a robot, or a recording of one, to a configuration: its topics, their directions and limits."""
 
 __all__: list[str] = []

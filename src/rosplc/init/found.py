@@ -1,7 +1,7 @@
-"""What a robot, or a recording of one, shows of itself: the topics, and what their messages were like.
+"""The topics that a robot, or a recording of one, has, and measurements of their messages.
 
-A message's bytes come from other programs and are not trusted: every length is checked against what is left
-of the message, and the work for one message is bounded.
+A message's bytes come from other programs and are not trusted: every length is checked against the remaining
+bytes of the message, and the work for one message is bounded.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from rosplc.ros import Qos
 from rosplc.ros.fields import Reader
 
 _MOST_VISITS = 100_000
-"""Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
+"""Values measured in one message; the bytes of a point cloud count as one value, its fields as ten more."""
 
 
 @dataclass
 class Seen:
-    """What the messages of one topic were like.
+    """Measurements of the messages of one topic.
 
-    ``unreadable`` did not fit the type. ``seconds`` is how long was listened, or how long the recording is;
-    ``rate_hz`` from the first to the last message, without what was delivered at once when the subscription
-    began, 0 with fewer than two; ``lengths`` of strings and sequences by field path; ``trouble`` why nothing
-    could be received, in words.
+    ``unreadable`` counts messages that did not fit the type. ``seconds`` is the duration of listening or of
+    the recording; ``rate_hz`` the rate from the first to the last message, without those delivered when the
+    subscription began, 0 with fewer than two; ``lengths`` has those of strings and sequences by field path;
+    ``trouble`` is the reason why nothing could be received, in words.
     """
 
     messages: int = 0
@@ -40,23 +40,23 @@ class Seen:
 
 @dataclass(slots=True)
 class Length:
-    """The lengths of one string (bytes) or sequence (elements), over all messages and elements above it."""
+    """The lengths of one string (bytes) or sequence (elements), over all messages and enclosing elements."""
 
     least: int
     most: int
 
     def add(self, length: int) -> None:
-        """Take one more into account."""
+        """Include one more length."""
         self.least = min(self.least, length)
         self.most = max(self.most, length)
 
 
 class Meter:
-    """Counts, times and measures the messages of one topic: ``seen``; used by one thread at a time.
+    """Counts, times and measures the messages of one topic in ``seen``; used by one thread at a time.
 
-    For ``settle_ns`` from the first message on none counts for the rate: publishers that keep messages for
-    those who come later deliver all of them at once. Of a message with more values than are looked at, those
-    that came first are in ``lengths``, by field path as a configuration's ``limits`` write it.
+    Messages in the first ``settle_ns`` do not count for the rate, because publishers that keep messages for
+    late subscribers deliver all of them at once. If a message has too many values, only the first ones are in
+    ``lengths``, whose keys are field paths as in a configuration's ``limits``.
     """
 
     def __init__(self, store: TypeStore, type_name: str, settle_ns: int = 0) -> None:
@@ -70,7 +70,7 @@ class Meter:
         self._regular = 0
 
     def take(self, data: bytes, time_ns: int) -> None:
-        """Take a message that came at ``time_ns`` of any one clock; one that does not fit is counted."""
+        """Measure a message that arrived at ``time_ns`` of any one clock; count it if it does not fit."""
         seen, first_ns = self.seen, self._first_ns
         if first_ns is None:
             self._first_ns = first_ns = self._last_ns = time_ns
@@ -96,18 +96,18 @@ class Meter:
             known.add(length.most)
 
     def finish(self, seconds: float, trouble: str = "") -> Seen:
-        """Return what was seen in ``seconds`` of listening; ``trouble`` counts if that was nothing."""
+        """Return the measurements of ``seconds`` of listening; ``trouble`` is kept only without messages."""
         self.seen.seconds = seconds
         self.seen.trouble = "" if self.seen.messages + self.seen.unreadable else trouble
         return self.seen
 
 
 class _TooMuchError(Exception):
-    """The message has more values than are looked at."""
+    """The message has more values than are measured."""
 
 
 class _Walk(Reader):
-    """Measures what it goes through, and reads nothing but lengths."""
+    """Measures the lengths in a message, and reads no other values."""
 
     def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length]) -> None:
         if store.ros_version == 2 and data[:2] not in (b"\0\0", b"\0\1"):
@@ -142,7 +142,7 @@ class _Walk(Reader):
             # An element may take no byte at all: ROS 1's std_msgs/Empty.
             may_be_empty = self._ros1 and isinstance(kind.element, NamedType)
             if count > len(self._body) - self._at and not may_be_empty:
-                raise ValueError("a sequence is longer than the message")
+                raise ValueError("a sequence exceeds the end of the message")
             self._note(path, count)
             self._elements(kind.element, count, path)
 
@@ -167,9 +167,9 @@ class Topic:
     """One topic that was found.
 
     ``types`` are those seen on it, ``package/msg/Name``: more than one is an error of the robot, none means
-    that no node announced it. ``publishers`` and ``subscribers`` name nodes, ``?`` one without a name;
-    ``offered`` has the publishers' quality of service, each once, ``hashes`` the type hashes announced;
-    ``carried`` is where a bridge took it when it was recorded, ``plc`` or ``ros``.
+    that no node announced it. ``publishers`` and ``subscribers`` are node names, ``?`` for an unnamed node;
+    ``offered`` has the publishers' quality of service, each once, ``hashes`` the announced type hashes;
+    ``carried`` is the side to which a bridge carried the topic during the recording, ``plc`` or ``ros``.
     """
 
     name: str
@@ -183,7 +183,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class Call:
-    """A service or action that was found: its ``kind``, its type, and where its server is, or should be."""
+    """A service or action that was found: its ``kind``, its type, and the (proposed) side of its server."""
 
     kind: Literal["service", "action"]
     name: str
@@ -194,10 +194,10 @@ class Call:
 
 @dataclass(frozen=True)
 class Found:
-    """What was found: topics by name, services and actions without those that each node has.
+    """What was found: topics by name, and services and actions without those that every node has.
 
-    ``where`` is what was looked at, in words; ``ros`` the keys of the configuration's section ``ros`` that
-    lead there, ``why`` remarks on them by key; ``notes`` what is worth knowing beyond.
+    ``where`` is the graph or recording in words; ``ros`` has the keys of the configuration's section ``ros``
+    that lead to it, ``why`` the reason for each key; ``notes`` are further remarks.
     """
 
     topics: Mapping[str, Topic]

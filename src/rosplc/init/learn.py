@@ -1,12 +1,12 @@
-"""Where a type's definition comes from: the distribution, the user, ROS's own folders, or the graph.
+"""Sources of a type's definition: the distribution, the user, ROS's own folders, or the graph.
 
-What does not come with the distribution and is not named by the user is kept as text, to be saved beside the
-configuration: a bridge must not depend on what was on the network when it was set up. In the graph, a ROS 1
-publisher sends one, and a node of ROS 2 Iron or later describes its types.
+Definitions from ROS's folders or the graph are kept as text, to be saved beside the configuration: a bridge
+must not depend on the network at the time of its setup. In the graph, a ROS 1 publisher sends a definition,
+and a node of ROS 2 Iron or later describes its types.
 
-What a node answers is not trusted. The description must have the type hash that the node announces, which
-covers names and types; constants, default values and comments come from the raw sources beside it, and a
-source counts only if it defines the very fields that were described: also ROS's own generators mangle some.
+A node's answer is not trusted. The description must have the type hash that the node announces, which covers
+names and types. Constants, default values and comments come from the raw source sent with it; a source counts
+only if it defines exactly the described fields, since even ROS's own generators mangle some sources.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ MOST_TYPES = 500  # one type's definition has a handful
 
 
 class Definitions:
-    """The types that are known, more of them with time, beginning with a distribution's.
+    """The known types: at first those of a distribution, later also those that were learned.
 
-    ``folders`` are the user's own with ``.msg`` files; ``AMENT_PREFIX_PATH`` and ``ROS_PACKAGE_PATH`` of the
-    environment say where an installed ROS keeps its definitions. ``texts`` has the definitions that are to be
-    saved by full name, ``origins`` where each of them comes from, in words. Raises MessageTypeError TYP… as
-    for ``types.paths`` of a configuration.
+    ``folders`` contain the user's ``.msg`` files; ``AMENT_PREFIX_PATH`` and ``ROS_PACKAGE_PATH`` of the
+    environment list the folders of an installed ROS. ``texts`` maps full names to the definitions to be
+    saved, ``origins`` to their sources in words. Raises MessageTypeError TYP… as for ``types.paths`` of a
+    configuration.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Definitions:
         self._environment = os.environ if environment is None else environment
 
     def learn(self, type_name: str, text: str, origin: str) -> None:
-        """Take a type from a definition text, which is not trusted; raises TYP001 … TYP007."""
+        """Add a type from a definition text, which is not trusted; raises TYP001 … TYP007."""
         new = self.store.with_definition(type_name, text)
         for name, part in split_definition(type_name, text).items():
             if name not in self.store:
@@ -64,9 +64,9 @@ class Definitions:
         self.store = new
 
     def find_installed(self, type_name: str) -> bool:
-        """Look for a type, and those it needs, in an installed ROS; return whether it is known now.
+        """Look for a type and its dependencies in an installed ROS; return whether the type is known now.
 
-        Raises MessageTypeError TYP… if it is wrong.
+        Raises MessageTypeError TYP… if its definition is invalid.
         """
         if type_name in self.store:
             return True
@@ -89,7 +89,7 @@ class Definitions:
         return True
 
     def unknown(self, type_name: str, more: str = "") -> MessageTypeError:
-        """Return the error of a type that was found nowhere: TYP001."""
+        """Return the error for a type that was not found: TYP001."""
         return MessageTypeError(
             "TYP001",
             f"{type_name} is unknown in {self.store.distro}{more}",
@@ -146,16 +146,16 @@ def learn(definitions: Definitions, backend: Backend, topic: str, type_name: str
     nodes = {end.node: end.type_hash for end in ends if end.node and end.type_hash}
     trouble = f"no node uses {topic} with this type"
     if ends and not nodes:
-        trouble = "the nodes that use it announce no type hash (no node does in ROS 2 Humble)"
+        trouble = f"the nodes that use {topic} announce no type hash (ROS 2 Humble has none)"
     for node, type_hash in list(nodes.items())[:_MOST_NODES]:
         service = f"{node}/get_type_description"
         try:
             if servers and service not in servers:
-                raise _refused("it does not offer type descriptions")
+                raise _refused("it does not offer a service for type descriptions")
             answer = _ask(backend, definitions.store, service, type_name, type_hash)
             take(definitions, answer, type_name, type_hash, f"node {node}")
         except RosplcError as error:
-            trouble = f"node {node} cannot describe it: {error.what}"
+            trouble = f"node {node} cannot describe the type: {error.what}"
         else:
             return
     raise definitions.unknown(type_name, f", and {trouble}")
@@ -193,11 +193,11 @@ def _ask(
 def take(
     definitions: Definitions, answer: Mapping[str, Any], type_name: str, type_hash: str, origin: str
 ) -> None:
-    """Add the type that an answer of GetTypeDescription describes, with those that it needs.
+    """Add the type that an answer of GetTypeDescription describes, with its dependencies.
 
-    Raises MessageTypeError: TYP010 if the answer is no description of this type with this hash, TYP002,
-    TYP003, TYP004, TYP007 for a malformed or recursive one, unsupported fields or too much of it, TYP005 if
-    it needs another definition of a type than the one known.
+    Raises MessageTypeError: TYP010 if the answer does not describe this type with this hash; TYP002, TYP003,
+    TYP004 or TYP007 if the description is malformed, recursive, unsupported or too large; TYP005 if a known
+    type has a different definition.
     """
     described = _described(answer, type_name, type_hash)
     needed = described.dependencies(type_name)
@@ -220,13 +220,13 @@ def take(
 
 
 def _described(answer: Mapping[str, Any], type_name: str, type_hash: str) -> TypeStore:
-    """Return what an answer describes, and nothing else."""
+    """Return the types that an answer describes, and no others."""
     if not answer["successful"]:
         raise _refused(one_line(answer["failure_reason"][:200]) or "it gave no reason")
     parts = answer["type_description"]
     own, others = parts["type_description"], parts["referenced_type_descriptions"]
     if own["type_name"] != type_name:
-        raise _refused(f"it describes {one_line(own['type_name'][:80])!r}")
+        raise _refused(f"it describes {one_line(own['type_name'][:80])!r} instead")
     if len(others) > MOST_TYPES:
         raise MessageTypeError("TYP007", f"it depends on {len(others)} types; the limit is {MOST_TYPES}")
     texts = {each["type_name"]: _text(each) for each in (own, *others)}
@@ -264,10 +264,10 @@ def _refused(what: str) -> MessageTypeError:
 
 
 def load(path: Path, arguments: RosArguments | None = None) -> Project:
-    """Read a configuration as :func:`rosplc.config.load_project`, and learn the types that it lacks.
+    """Read a configuration as :func:`rosplc.config.load_project` does, and learn its unknown types.
 
-    They are kept beside the file, in the folder :data:`~rosplc.config.file.LEARNT`, where later readers of
-    the configuration find them, and each is logged. Raises MessageTypeError TYP009 if they cannot be saved.
+    Learned types are logged and saved beside the file, in the folder :data:`~rosplc.config.file.LEARNT`,
+    where later readers of the configuration find them. Raises MessageTypeError TYP009 if saving fails.
     """
     config = read_config(path)
     try:

@@ -1,4 +1,4 @@
-"""A robot that runs: its graph, seen through one of the bridge's own ways into ROS; and other DDS domains."""
+"""A running robot: its graph, seen through one of the bridge's backends; and other DDS domains in use."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _LEADS_THERE = {
 }
 """Environment variables that have no key in a configuration."""
 _OF_EACH_NODE = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/")
-"""Packages of the services that nodes have for parameters and their own state."""
+"""Packages of the services that nodes have for their parameters and state."""
 _SHOW_S = 1.0
 _LISTEN_S = 3.0  # to other domains
 _SETTLE_S = 1.0  # how long kept messages may take to be delivered; not more than a quarter of the listening
 
 
 def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]:
-    """Return the ROS distribution to begin with, and why."""
+    """Return the ROS distribution to start with, and the reason."""
     named = environment.get("ROS_DISTRO", "")
     if backend == "rospy":
         return ROS1, "the rospy backend is for ROS 1"
@@ -58,12 +58,12 @@ def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]
 
 
 class LiveRobot:
-    """The ROS graph; it publishes nothing.
+    """The ROS graph of a running robot, to which nothing is published.
 
-    ``ros`` are keys of the configuration's section ``ros``: ``backend``, and what else was given; ``folders``
-    the user's own with ``.msg`` files. It looks for others for ``seconds`` at most, and waits for the topics
-    ``needed``. Raises BackendError: ROS001, no way into ROS is installed; ROS002, the middleware refuses;
-    ROS014 or ROS016, the master or router does not answer; ROS020, nothing was found.
+    ``ros`` are the given keys of the configuration's section ``ros``, such as ``backend``; ``folders``
+    have the user's ``.msg`` files. Discovery takes at most ``seconds`` and waits for the topics ``needed``.
+    Raises BackendError: ROS001, no backend is installed; ROS002, the middleware reports an error; ROS014 or
+    ROS016, the master or router does not answer; ROS020, nothing was found.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class LiveRobot:
             graph = f"domain {getattr(self._backend, 'domain', os.environ.get('ROS_DOMAIN_ID') or 0)}"
             if self._backend.name == "rospy":
                 graph = f"the graph of {os.environ.get('ROS_MASTER_URI') or 'http://localhost:11311'}"
-            where = f"{graph}, over {choice.name}"
+            where = f"{graph} (backend {choice.name})"
             self._refuse_nobody(info, where, seconds)
             why = {"distro": "as requested" if given else why_distro}
             self.found = Found(_topics(info), where, keys, why, calls=tuple(_calls(info)))
@@ -96,7 +96,7 @@ class LiveRobot:
             raise
 
     def _keep_environment(self, keys: dict[str, object], choice: Choice) -> None:
-        """Write down what this terminal's environment decides: a service will not have it."""
+        """Record the settings from this terminal's environment, which a service will not have."""
         why = dict(self.found.why)
         if keys["backend"] == "auto":
             plain = bool(keys.get("zenoh"))
@@ -119,28 +119,28 @@ class LiveRobot:
         self.found = replace(self.found, why=why, notes=notes)
 
     def learn(self, topic: str, type_name: str) -> None:
-        """Make sure that a topic's type is known; raises RosplcError if it is not, or cannot be right."""
+        """Make sure that a topic's type is known; raises RosplcError if it is not, or if it is wrong."""
         learn(self.definitions, self._backend, topic, type_name)
         self._types.store = self.definitions.store
         self._compare(topic, type_name)
 
     def _compare(self, topic: str, type_name: str) -> None:
-        """Note a topic whose nodes announce another definition than ours."""
+        """Add a note if the nodes of a topic announce a definition that differs from ours."""
         hashes = self.found.topics[topic].hashes if topic in self.found.topics else ()
         silent, ours = ("humble", ROS1), self._types.distro
         if not hashes or ours in silent or self._types.type_hash(type_name) in hashes:
             return
         also = [name for name in DISTROS if name not in silent and _hash(name, type_name) in hashes]
-        hint = f"; it matches that of {', '.join(also)}: use --distro" if also else ""
+        hint = f"; with --distro {' or '.join(also)}, they match" if also else ""
         note = f"{topic}: the robot's definition of {type_name} differs from that of {ours}{hint}."
         self.found = replace(self.found, notes=(*self.found.notes, note))
 
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
     ) -> dict[str, Seen]:
-        """Subscribe for a while; return what the messages of these topics (name → type) are like.
+        """Subscribe for ``seconds`` and return measurements of the messages of these topics (name → type).
 
-        ``progress`` is called about once a second with how far it is, in words.
+        ``progress`` is called about once per second with a text that shows the progress.
         """
         meters: dict[str, Meter] = {}
         trouble: dict[str, str] = {}
@@ -177,7 +177,7 @@ class LiveRobot:
         return {topic: meter.finish(seconds, trouble.get(topic, "")) for topic, meter in meters.items()}
 
     def _refuse_nobody(self, info: GraphInfo, where: str, seconds: float) -> None:
-        """Say why nothing was found: the master or router is away, or nobody is there."""
+        """Raise the reason if nothing was found: no answer from the master or router, or no node."""
         if info.endpoints:
             return
         subscription = self._backend.subscribe(f"/{NODE}", "std_msgs/msg/Empty", Qos(), lambda *_: None)
@@ -187,8 +187,8 @@ class LiveRobot:
             subscription.close()
         if status.code in _UNREACHABLE:
             raise BackendError(status.code, status.reason)
-        who = f"{len(info.nodes)} nodes, but no topic" if info.nodes else "no node"
-        raise BackendError("ROS020", f"{who} found in {where} within {seconds:g} s{elsewhere(where)}")
+        what = f"{plural(len(info.nodes), 'node')} but no topics were" if info.nodes else "no node was"
+        raise BackendError("ROS020", f"{what} found in {where} within {seconds:g} s{elsewhere(where)}")
 
     def close(self) -> None:
         """Leave the graph."""
@@ -196,7 +196,7 @@ class LiveRobot:
 
 
 def matching(offered: Collection[Qos], depth: int) -> Qos:
-    """Return the quality of service that meets every publisher's, and gets what they sent before."""
+    """Return a quality of service that matches every publisher and requests messages they have kept."""
     reliable = all(qos.reliability == "reliable" for qos in offered)
     latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
     kept: Literal["transient_local", "volatile"] = "transient_local" if latched else "volatile"
@@ -231,7 +231,7 @@ def _topics(info: GraphInfo) -> dict[str, Topic]:
 
 
 def _calls(info: GraphInfo) -> Iterator[Call]:
-    """Yield services and actions whose type the graph tells."""
+    """Yield services and actions whose type is in the graph."""
     ends: dict[tuple[Literal["service", "action"], str, str], list[EndpointInfo]] = {}
     for end in info.services:
         name, is_action, _ = end.topic.partition("/_action/send_goal")
@@ -244,9 +244,9 @@ def _calls(info: GraphInfo) -> Iterator[Call]:
     ):
         servers, clients = (_names(end for end in parts if end.direction == way) for way in ("in", "out"))
         why = (
-            f"{', '.join(servers)} serves it"
+            f"served by {', '.join(servers)}"
             if servers
-            else f"{', '.join(clients)} calls it, but no node serves it"
+            else f"called by {', '.join(clients)}, but served by no node"
         )
         yield Call(kind, name, type_name, "ros" if servers else "plc", why)
 
@@ -257,14 +257,14 @@ def _names(ends: Any) -> tuple[str, ...]:
 
 _GROUP = "239.255.0.1"
 _BASE, _GAIN, _LAST = 7400, 250, 101
-"""RTPS 2.5, 9.6.1: the port of a domain's discovery by multicast; beyond 101 the kernel gives ports away."""
+"""RTPS 2.5, 9.6.1: the port of a domain's multicast discovery; above 101, the kernel assigns these ports."""
 _PORTS = {_BASE + _GAIN * domain: domain for domain in range(_LAST + 1)}
 
 
 def elsewhere(where: str) -> str:
-    """Return a clause that names other domains with DDS nodes; empty if none were seen.
+    """Return a clause with other domains that have DDS nodes; empty if none were seen.
 
-    ``where`` is of interest if it begins with "domain" and a number; other machines are listened to.
+    ``where`` counts only if it begins with "domain" and a number; nodes of other machines are included.
     """
     looked_at = re.match(r"domain (\d+)", where)
     if looked_at is None:
@@ -273,11 +273,11 @@ def elsewhere(where: str) -> str:
     if not others:
         return ""
     named = ", ".join(map(str, others[:5])) + (" and others" if len(others) > 5 else "")
-    return f"; there are nodes in domain {named}: set ROS_DOMAIN_ID or ros.domain"
+    return f"; nodes were seen in domain {named}: set ROS_DOMAIN_ID or ros.domain"
 
 
 def domains_in_use(seconds: float, proc: Path = Path("/proc")) -> set[int]:
-    """Return the domains of this machine's DDS programs, and of those heard for so many seconds."""
+    """Return the domains of this machine's DDS programs, and of others that announce themselves in time."""
     found = set()
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in (proc / "net/udp").read_text(encoding="ascii").splitlines()[1:]:

@@ -1,7 +1,7 @@
-"""From what was found to what is carried and configured: direction, limits, QoS, times.
+"""Proposals for a configuration from the topics found: direction, limits, QoS and times.
 
-Every proposal comes with its reason, and every number that was chosen has its rule at the top here:
-the file has both, so that the integrator can judge and correct them.
+Every proposal has a reason, and every chosen number follows a rule at the top of this module.
+The file contains both, so that the integrator can judge and correct them.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _LARGE = 64 * 1024
 _LARGEST = 128 * 1024 * 1024  # with four slots half a gigabyte: no topic for a PLC
 
 RULES = (
-    f"Strings: twice the longest seen, rounded up to a multiple of {_STRING_STEP}, at least {_STRING_LEAST} "
-    f"bytes. Sequences: 1.5 times the longest seen, rounded up to a multiple of {_SEQUENCE_STEP}; if at "
-    f"least {_SURE} messages were seen and all had the same length, that length. With fewer than {_SURE} "
-    "messages, no limit is set below the default. "
+    f"The limit of a string is twice the longest length seen, rounded up to a multiple of {_STRING_STEP}, "
+    f"and at least {_STRING_LEAST} bytes. The limit of a sequence is 1.5 times the longest length seen, "
+    f"rounded up to a multiple of {_SEQUENCE_STEP}. If at least {_SURE} messages all had the same length, "
+    f"it is that length. With fewer than {_SURE} messages, no limit is set below the default. "
     "A message that exceeds a limit is refused and counted, never truncated."
 )
-"""How limits are proposed, in words."""
+"""The rules for proposed limits, in words."""
 
 _OF_ROS = frozenset(
     {"/rosout", "/rosout_agg", "/parameter_events", "/diagnostics", "/diagnostics_agg", "/clock"}
@@ -49,9 +49,9 @@ _OF_ROS = frozenset(
 class Entry:
     """One topic of the configuration.
 
-    ``about`` is what was found of it, in sentences; ``limits`` are capacities that differ from the defaults
-    by path, ``settings`` other keys' values as YAML, both with the reason; ``record_bytes`` is the size of a
-    record with these limits.
+    ``about`` describes the topic in sentences; ``limits`` has the capacities that differ from the defaults,
+    by path, ``settings`` the values of other keys as YAML, both with the reason; ``record_bytes`` is the size
+    of a record with these limits.
     """
 
     topic: str
@@ -64,37 +64,36 @@ class Entry:
 
 
 def is_of_ros_itself(topic: str) -> bool:
-    """Return whether a topic is part of ROS's own household, and carried only if it is named."""
+    """Return whether a topic belongs to ROS itself, and is carried only if the user names it."""
     return topic in _OF_ROS or any(part.startswith("_") for part in topic.split("/"))
 
 
 def direction(topic: Topic) -> tuple[Literal["plc", "ros"], str]:
-    """Return where a topic's messages should go, and why.
+    """Return the direction in which a topic should be carried, and the reason.
 
-    What somebody publishes the PLC may read, and that disturbs nobody. What is only subscribed to waits
-    for somebody who publishes it: the PLC can. Where both are there, a second publisher would fight with
-    the first, so the PLC listens unless it is told otherwise. What a bridge carried when it was recorded
-    goes the same way again.
+    The PLC reads a topic that has a publisher, and publishes one that has only subscribers. If a topic has
+    both, a second publisher would interfere with the first, so the PLC reads it unless the user decides
+    otherwise. A topic that a bridge carried during the recording keeps its direction.
     """
     if topic.carried:
-        did = "the PLC sent it" if topic.carried == "ros" else "it was sent to the PLC"
-        return topic.carried, f"{did} when it was recorded"
-    readers, writers = _listed(topic.subscribers), _listed(topic.publishers)
+        way = "from" if topic.carried == "ros" else "to"
+        return topic.carried, f"a bridge carried it {way} the PLC during the recording"
+    subs, pubs = _listed(topic.subscribers), _listed(topic.publishers)
     if topic.publishers and topic.subscribers:
-        return "plc", f"{writers} publishes it for {readers}; the PLC also subscribes"
+        return "plc", f"it is published by {pubs} for {subs}; the PLC subscribes, too"
     if topic.publishers:
-        return "plc", f"{writers} publishes it" if topic.publishers != ("unnamed",) else "it was recorded"
+        return "plc", f"it is published by {pubs}" if topic.publishers != ("unnamed",) else "it was recorded"
     if topic.subscribers:
-        return "ros", f"{readers} subscribes to it; it has no publisher"
+        return "ros", f"it has subscribers ({subs}) but no publisher"
     return "plc", "it has neither publishers nor subscribers"
 
 
 def propose(
     topic: Topic, type_name: str, to: Literal["plc", "ros"], store: TypeStore, seen: Seen | None
 ) -> Entry:
-    """Return the entry of a topic whose type the store knows; ``seen`` None if nobody listened.
+    """Return the entry of a topic whose type is in the store; ``seen`` is None without measurements.
 
-    Raises LayoutError LAY…: a record of the type cannot be made, whatever the limits.
+    Raises LayoutError LAY… if no limits give a valid record of the type.
     """
     entry = Entry(topic.name, store[type_name].name, to)
     _tell(entry, topic, seen)
@@ -126,15 +125,15 @@ def _tell(entry: Entry, topic: Topic, seen: Seen | None) -> None:
     if len(topic.types) > 1:
         entry.about.append(f"It has several types: {', '.join(topic.types)}.")
     if to == "ros" and topic.publishers:
-        entry.about.append("Both its publishers and the PLC will publish to it.")
+        entry.about.append("Its publishers and the PLC will both publish to it.")
     if seen is None or (to == "ros" and not seen.messages):
         return
     if not seen.messages:
         why = f": {seen.trouble}" if seen.trouble else ""
         entry.about.append(f"No message was seen in {seen.seconds:.3g} s{why}.")
         return
-    rate = f", {seen.rate_hz:.3g} Hz" if seen.rate_hz else ""
-    entry.about.append(f"{plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
+    rate = f" ({seen.rate_hz:.3g} Hz)" if seen.rate_hz else ""
+    entry.about.append(f"Measured {plural(seen.messages, 'message')} in {seen.seconds:.3g} s{rate}.")
     if seen.unreadable:
         entry.about.append(
             f"{plural(seen.unreadable, 'message')} could not be decoded: the robot may use a different "
@@ -143,7 +142,7 @@ def _tell(entry: Entry, topic: Topic, seen: Seen | None) -> None:
 
 
 def _limits(entry: Entry, store: TypeStore, seen: Seen | None) -> Layout:
-    """Add what was learnt of the lengths, and return the layout that it leads to."""
+    """Add limits from the measured lengths, and return the resulting layout."""
     fields = compute_layout(store, entry.type_name).fields()
     variable = {path: node for path, _, node in fields if isinstance(node, StringNode | SequenceNode)}
     wanted = _wanted(variable, seen) if seen is not None and seen.messages else {}
@@ -160,13 +159,13 @@ def _limits(entry: Entry, store: TypeStore, seen: Seen | None) -> Layout:
     entry.limits |= {path: item for path, item in wanted.items() if variable[path].capacity != item[0]}
     unseen = [path for path in variable if path not in wanted]
     if unseen:
-        nothing = "Always empty" if wanted or (seen is not None and seen.messages) else "Not seen yet"
-        entry.about.append(f"{nothing}: {listed(unseen, 6)}; the default limits above apply.")
+        nothing = "always empty" if wanted or (seen is not None and seen.messages) else "not seen yet"
+        entry.about.append(f"The default limits above apply to {listed(unseen, 6)} ({nothing}).")
     return layout
 
 
 def _wanted(variable: Mapping[str, StringNode | SequenceNode], seen: Seen) -> dict[str, tuple[int, str]]:
-    """Return the capacities that what was seen asks for, each with the reason."""
+    """Return the capacities that fit the measured lengths, each with the reason."""
     found = {}
     for path, length in seen.lengths.items():
         if length.most == 0 or (node := variable.get(path)) is None:
@@ -183,7 +182,7 @@ def _wanted(variable: Mapping[str, StringNode | SequenceNode], seen: Seen) -> di
         if seen.messages < _SURE:
             capacity = max(capacity, node.capacity)
         if node.bound is not None and capacity > node.bound:
-            capacity, why = node.bound, f"{why}; the type allows {node.bound}"
+            capacity, why = node.bound, f"{why}; the type allows at most {node.bound}"
         found[path] = capacity, why
     return found
 
@@ -207,7 +206,8 @@ def _times(entry: Entry, topic: Topic, seen: Seen | None) -> None:
         entry.settings["stale_after"] = f"{seconds}s", why
     if entry.record_bytes <= _LARGE and seen.rate_hz > _FAST_HZ:
         rate = min(_up(seen.rate_hz * _RATE_HEADROOM, _RATE_STEP), 1_000_000)
-        entry.settings["expected_rate"] = f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; sets the number of slots"
+        why = f"{seen.rate_hz:.4g} Hz seen; this value sets the number of slots"
+        entry.settings["expected_rate"] = f"{rate}Hz", why
 
 
 def _retained(topic: Topic) -> bool:
@@ -228,10 +228,10 @@ _GLOB = frozenset("*?[")
 
 @dataclass(frozen=True)
 class Wish:
-    """What the user asked for: a topic, or a pattern with ``*``, ``?`` or ``[…]``.
+    """The user's selection: a topic, or a pattern with ``*``, ``?`` or ``[…]``.
 
-    ``type_name`` and ``to`` as far as they were given; ``firm``: a topic that cannot be carried is an error,
-    and not left out.
+    ``type_name`` and ``to`` are None if they were not given; ``firm``: a topic that cannot be carried is an
+    error instead of being left out.
     """
 
     pattern: str
@@ -241,13 +241,13 @@ class Wish:
 
     @property
     def exact(self) -> bool:
-        """Whether it names one topic."""
+        """Whether the selection is exactly one topic."""
         return not _GLOB & set(self.pattern)
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A topic that is to be carried; ``named``: by the user, itself and not by a pattern."""
+    """A topic to be carried; ``named``: the user selected it by its name, not by a pattern."""
 
     topic: Topic
     type_name: str
@@ -256,9 +256,9 @@ class Chosen:
 
 
 def parse_wish(text: str, to: To | None = None) -> Wish:
-    """Return the wish that ``/topic``, ``/robot1/*`` or ``/topic=package/Type`` means.
+    """Return the selection that ``/topic``, ``/robot1/*`` or ``/topic=package/Type`` expresses.
 
-    Raises ValueError with a text of what would be right.
+    Raises ValueError with a text that shows the problem.
     """
     pattern, equals, type_name = text.strip().partition("=")
     if pattern and not pattern.startswith(("/", "*")):
@@ -271,7 +271,7 @@ def parse_wish(text: str, to: To | None = None) -> Wish:
 
 
 def type_called(type_name: str) -> str:
-    """Return a type's full name; ValueError, with what would be right, for what is none."""
+    """Return a type's full name; raises ValueError, with the valid form, if it is not a type name."""
     try:
         return full_name(type_name)
     except RosplcError as error:
@@ -281,10 +281,10 @@ def type_called(type_name: str) -> str:
 def select(
     topics: Mapping[str, Topic], wishes: Sequence[Wish], *, everything: bool
 ) -> tuple[dict[str, Chosen], dict[str, str]]:
-    """Return the topics to carry by name, and why others that were meant are left out.
+    """Return the topics to carry by name, and the reasons why other selected topics are left out.
 
-    A later wish replaces an earlier one's answers for the same topic; ``everything`` takes all topics but
-    those of ROS itself. Raises ValueError: a wish names a topic that was not found, or cannot be carried.
+    For the same topic, values of a later selection replace earlier ones; ``everything`` selects all topics
+    except those of ROS itself. Raises ValueError if a selected topic was not found or cannot be carried.
     """
     meant: dict[str, Wish] = {}
     if everything:
@@ -322,7 +322,7 @@ def _matching(topics: Mapping[str, Topic], wish: Wish) -> list[str]:
             return [wish.pattern]
         near = nearest(wish.pattern, topics)
         hint = f"; did you mean {near}?" if near else f"; specify {wish.pattern}=PACKAGE/TYPE to carry it"
-        raise ValueError(f"no topic {wish.pattern} was found{hint}")
+        raise ValueError(f"topic {wish.pattern} was not found{hint}")
     found = [
         name for name in topics if fnmatch.fnmatchcase(name, wish.pattern) and not is_of_ros_itself(name)
     ]

@@ -1,4 +1,4 @@
-"""A robot that is not there, but was recorded."""
+"""A robot of which only a recording is available."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _WAYS: dict[str, Literal["plc", "ros"]] = {"to_plc": "plc", "to_ros": "ros"}
 class RecordedRobot:
     """A recording.
 
-    ``distro`` None takes what the recording fits best; ``folders`` are the user's own with ``.msg`` files,
-    ``ros`` more keys of the configuration's section ``ros``. Raises BackendError: ROS006, the recording
-    cannot be read; ROS001, it is of the other ROS.
+    ``distro`` None selects the distribution that fits the recording best; ``folders`` contain the user's
+    ``.msg`` files; ``ros`` has more keys of the configuration's section ``ros``. Raises BackendError: ROS006,
+    the recording cannot be read; ROS001, its ROS version is not that of ``distro``.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class RecordedRobot:
         for each in self._recorded:
             topics.setdefault(_absolute(each.name), []).append(each)
         note = (
-            "A recording shows the publishers, but not the subscribers: "
+            "A recording shows publishers, but no subscribers: "
             "use --to-ros TOPIC=TYPE for the topics that the PLC should publish."
         )
         carried = self._carried
@@ -63,7 +63,7 @@ class RecordedRobot:
             if (wanted == ROS1) != (self._bag.ros_version == 1):
                 raise BackendError(
                     "ROS001",
-                    f"{wanted} is not a ROS {self._bag.ros_version} distribution; the recording needs one",
+                    f"{wanted} is not a ROS {self._bag.ros_version} distribution, as the recording requires",
                     where=str(self._bag.path),
                     remedy="Omit --distro, or specify a distribution of that ROS version.",
                 )
@@ -71,16 +71,16 @@ class RecordedRobot:
         if self._bag.ros_version == 1:
             return ROS1, "the recording is from ROS 1"
         if self._bag.distro in DISTROS:
-            return self._bag.distro, "stated by the recording"
+            return self._bag.distro, "specified by the recording"
         if self._carried_distro in DISTROS and self._carried_distro != ROS1:
             return self._carried_distro, "the recorded bridge used it"
         candidates = [_NEWEST, *(name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST))]
         best = min(candidates, key=self._misfits)
-        more = "" if best == _NEWEST else "; the recorded definitions match this one best"
+        more = "" if best == _NEWEST else "; its definitions match this one best"
         return best, f"the recording specifies no distribution{more}"
 
     def _misfits(self, distro: str) -> int:
-        """Return how many of the recording's types a distribution defines differently."""
+        """Return the number of types in the recording that a distribution defines differently."""
         known = TypeStore.bundled(distro)
         count = 0
         for each in self._recorded:
@@ -148,7 +148,7 @@ def _full(type_name: str) -> str:
 
 
 def _carried(path: Path) -> tuple[dict[str, Literal["plc", "ros"]], str]:
-    """Return what our own recorder wrote beside the messages: directions by topic, and the distribution."""
+    """Return the metadata of rosplc's own recorder: the direction of each topic, and the distribution."""
     ways: dict[str, Literal["plc", "ros"]] = {}
     distros: list[str] = []
     for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []:

@@ -1,4 +1,4 @@
-"""From chosen topics to the file: definitions, listening, proposals, and a text that gives their reasons."""
+"""From selected topics to the file: definitions, measurements, proposals, and a text with their reasons."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WIDTH = 108
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 SCHEMA = ".rosplc.schema.json"
-"""The JSON Schema beside the configuration, by which editors complete and explain keys."""
+"""The JSON Schema beside the configuration, with which editors complete and explain keys."""
 
 
 def configuration(
@@ -42,10 +42,10 @@ def configuration(
 ) -> str:
     """Return the text of a configuration for what was found.
 
-    ``entries`` are in the order in which they shall stand, ``folders`` what ``types.paths`` names; the first
-    line has the ``date``. ``calls``: propose services and actions, too, as comments.
+    ``entries`` are in the order of the file; ``folders`` become ``types.paths``; ``date`` is part of the
+    first comment. ``calls``: propose services and actions, too, as comments.
     """
-    written = f"Written by rosplc {__version__} init{f', {date}' if date else ''}, from {found.where}."
+    written = f"Created by `rosplc init` {__version__}{f' on {date}' if date else ''} from {found.where}."
     lines = [f"# yaml-language-server: $schema={SCHEMA}", *_comment(written)]
     lines += _comment("`rosplc check --schema` lists every key; `rosplc check` explains this file.")
     lines += ["", f"bridge: {_value(bridge)}", "", *_ros(found), ""]
@@ -68,10 +68,10 @@ def configuration(
 
 
 def _calls(found: Found) -> Iterator[str]:
-    """Yield the services and actions that were found, as comments: people decide which the PLC is to have."""
+    """Yield the services and actions that were found, as comments: the user decides which ones to carry."""
     more = "Uncomment those that the PLC should call (`server: ros`) or provide (`server: plc`)."
     yield from _comment(
-        f"Services and actions in the graph. {more}" if found.calls else "No service or action was found."
+        f"Services and actions in the graph. {more}" if found.calls else "No services or actions were found."
     )
     for kind in ("service", "action"):
         rows = [
@@ -85,9 +85,9 @@ def _calls(found: Found) -> Iterator[str]:
 
 
 def refuse_to_overwrite(path: Path, *, force: bool) -> None:
-    """Raise CFG013 if there is something at ``path`` already, and CFG014 if nothing can be put there."""
+    """Raise CFG013 if ``path`` already exists, and CFG014 if no file can be created there."""
     if os.path.lexists(path) and not force:
-        raise ConfigError("CFG013", f"{path} already exists", where=str(path))
+        raise ConfigError("CFG013", "this path already exists", where=str(path))
     if path.is_dir():
         raise ConfigError("CFG014", "this is a folder", where=str(path))
     if not path.parent.is_dir():
@@ -95,9 +95,9 @@ def refuse_to_overwrite(path: Path, *, force: bool) -> None:
 
 
 def write_file(path: Path, text: str, *, force: bool) -> None:
-    """Write the file, complete or not at all.
+    """Write the file completely or not at all.
 
-    Raises ConfigError: CFG013, there is one already and ``force`` is not given; CFG014, it cannot be written.
+    Raises ConfigError: CFG013, the file exists and ``force`` is not given; CFG014, it cannot be written.
     """
     refuse_to_overwrite(path, force=force)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -108,7 +108,7 @@ def write_file(path: Path, text: str, *, force: bool) -> None:
         else:
             os.link(part, path)  # unlike a rename, this fails where somebody was faster
     except FileExistsError:
-        raise ConfigError("CFG013", f"{path} already exists", where=str(path)) from None
+        raise ConfigError("CFG013", "this path already exists", where=str(path)) from None
     except OSError as error:
         raise ConfigError("CFG014", f"{error.strerror or error}", where=str(path)) from None
     finally:
@@ -120,7 +120,7 @@ def _ros(found: Found) -> Iterator[str]:
     rows = [(f"  {key}: {_value(value)}", found.why.get(key, "")) for key, value in found.ros.items()]
     yield from _with_reasons(rows)
     if "domain" not in found.ros and found.ros.get("distro") != "noetic":
-        yield "  # domain: without this key, ROS_DOMAIN_ID applies, or else 0"
+        yield "  # domain: without this key, ROS_DOMAIN_ID applies; if it is not set, 0"
 
 
 def _value(value: object) -> str:
@@ -160,11 +160,11 @@ def _comment(text: str, indent: int = 0) -> list[str]:
 
 @dataclass(frozen=True)
 class Draft:
-    """What a configuration will say.
+    """The content of a new configuration.
 
-    ``entries`` are in the file's order: towards the PLC first, then by name. By topic: ``seen``, what its
-    messages were like, and ``left_out``, why it is not among them. By type: ``definitions``, the text of
-    those that must be saved, and ``origins``.
+    ``entries`` are in the file's order: topics to the PLC first, then by name. By topic: ``seen``, the
+    measurements of its messages, and ``left_out``, the reason for leaving it out. By type: ``definitions``,
+    the texts that must be saved, and ``origins``, their sources.
     """
 
     entries: tuple[Entry, ...]
@@ -181,10 +181,10 @@ def draft(
     seconds: float,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Draft:
-    """Learn types, listen for so many seconds (0: not at all), and propose.
+    """Learn types, listen for ``seconds`` (0: not at all), and propose entries.
 
-    ``progress`` is called about once a second with how far it is, in words. Raises RosplcError: a topic that
-    the user named cannot be carried.
+    ``progress`` is called about once per second with a text that shows the progress. Raises RosplcError if a
+    topic that the user named cannot be carried.
     """
     left_out: dict[str, str] = {}
 
@@ -228,9 +228,9 @@ def save(
     force: bool = False,
     calls: bool = False,
 ) -> tuple[str, tuple[Path, ...]]:
-    """Write definitions, configuration and its JSON Schema; return the text and the definitions' files.
+    """Write definitions, the configuration and its JSON Schema; return its text and the definitions' files.
 
-    ``path`` is the configuration's; definitions go into the folder ``msg`` beside it. ``calls`` as for
+    ``path`` is that of the configuration; definitions go into the folder ``msg`` beside it. ``calls`` as for
     :func:`configuration`. Raises ConfigError CFG013, CFG014; MessageTypeError TYP009, a definition cannot be
     saved.
     """

@@ -16,23 +16,23 @@ Buffer: TypeAlias = "bytes | bytearray | memoryview"
 
 
 def compute_layout(store: TypeStore, type_name: str, limits: Limits | None = None) -> Layout:
-    """Return the layout of a type with its limits applied; ``store`` knows it and those it needs.
+    """Return the layout of a type with these limits; ``store`` contains the type and its dependencies.
 
-    ``type_name`` is ``package/msg/Name`` or ``package/Name``; without ``limits`` a string has 80 bytes and a
-    sequence 16 elements. Raises MessageTypeError TYP001, the type is unknown; LayoutError LAY001 … LAY004
-    (spec/type-mapping.md), or LAY006, a default value of the definition needs a larger capacity.
+    ``type_name`` is ``package/msg/Name`` or ``package/Name``. Without ``limits``, strings have 80 bytes and
+    sequences 16 elements. Raises MessageTypeError TYP001 if the type is unknown; LayoutError LAY001 … LAY004
+    (spec/type-mapping.md), or LAY006 if a default value in the definition needs a larger capacity.
     """
     limits = limits or Limits()
     return Layout(store, compute_struct(store, type_name, limits), limits)
 
 
 class Layout:
-    """Where each part of a record lies, and what follows from that.
+    """The offset and size of each part of a record.
 
     Attributes:
-        store: The types that it was computed from.
+        store: The types from which the layout was computed.
         root: The record as a struct node.
-        limits: The capacities that were asked for.
+        limits: The requested capacities.
     """
 
     def __init__(self, store: TypeStore, root: StructNode, limits: Limits) -> None:
@@ -84,27 +84,27 @@ class Layout:
         return int.from_bytes(data[:4], "little"), int.from_bytes(data[4:], "little")
 
     def fields(self) -> Iterator[tuple[str, int, Node]]:
-        """Yield path, offset in the record and node of every scalar, string, array and sequence.
+        """Yield the path, offset and node of every scalar, string, array and sequence in the record.
 
         An array or sequence is followed by its element, whose path ends with ``[]`` and whose
-        offset is the first one's. Structs, padding and counts are left out.
+        offset is that of the first element. Structs, padding and counts are omitted.
         """
         return walk(self.root)
 
     def difference(self, other: Layout | str) -> str:
-        """Say in words how another layout, or its text, differs; empty if it does not."""
+        """Describe how another layout, or its text, differs; empty if it does not."""
         return layout_difference(self.text, other if isinstance(other, str) else other.text)
 
     def initial(self) -> bytes:
-        """Return the record of a message that nobody has filled: its default values, else zeros."""
+        """Return the record of a message with initial values: the defaults of the definition, else zeros."""
         return self.shape.initial
 
     def pack(self, value: Mapping[str, Any] | RecordView | object) -> bytearray:
-        """Return the record of a message. Raises LayoutError LAY006, naming the field's path.
+        """Return the record of a message. Raises LayoutError LAY006 with the field's path.
 
         ``value`` is a mapping, a view, or any object with the fields as attributes (a ROS message, a rosbags
-        message), nested as the type is. What it lacks takes its initial value. Numbers in bulk are fastest as
-        bytes, array.array or numpy arrays of the field's own type.
+        message), nested like the type. Missing fields have their initial values. Large arrays are packed
+        fastest from bytes, array.array or numpy arrays of the field's own type.
         """
         return self.shape.pack(value)
 
@@ -113,13 +113,13 @@ class Layout:
     ) -> None:
         """Write the record of a message into a buffer of at least ``size`` bytes.
 
-        The buffer changes only if all fits. Raises LayoutError LAY006: a value, or the buffer, does not.
+        The buffer changes only if all fits. Raises LayoutError LAY006 if a value or the record does not fit.
         """
         self.shape.view(buffer)  # or it is refused
         memoryview(buffer).cast("B")[: self.size] = self.shape.pack(value)
 
     def view(self, buffer: Buffer) -> RecordView:
-        """Return a view that reads from ``buffer`` at each access; LAY006: it is smaller than a record."""
+        """Return a view that reads from ``buffer`` at each access; LAY006 if it is smaller than a record."""
         return self.shape.view(buffer)  # type: ignore[return-value] # of the class that it was given
 
     def to_dict(self, buffer: Buffer) -> dict[str, Any]:
@@ -127,10 +127,10 @@ class Layout:
         return self.shape.view(buffer)._to_dict()
 
     def excerpt(self, buffer: Buffer, elements: int) -> dict[str, Any]:
-        """Return a record as :meth:`to_dict` does, arrays with so many of their first elements at most.
+        """Return a record like :meth:`to_dict`, but at most the first ``elements`` elements of each array.
 
-        It costs what it returns, where a picture or a point cloud would be a million numbers. An array that
-        is longer becomes an :class:`rosplc.layout.view.Excerpt`, a list that knows the whole length.
+        This is fast even for an image or a point cloud with a million numbers. A longer array becomes an
+        :class:`rosplc.layout.view.Excerpt`, a list that also stores the full length.
         """
         return self.shape.view(buffer)._to_dict(elements, Excerpt)
 

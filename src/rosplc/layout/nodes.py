@@ -156,11 +156,11 @@ def layout_difference(one: str, other: str, limit: int = 5) -> str:
     found: list[str] = []
     for path in dict.fromkeys((*mine, *theirs)):
         if path not in theirs:
-            found.append(f"{path} exists only here")
+            found.append(f"{path} exists only on this side")
         elif path not in mine:
-            found.append(f"{path} exists only there")
+            found.append(f"{path} exists only on the other side")
         elif mine[path] != theirs[path]:
-            found.append(f"{path} is {mine[path]} here and {theirs[path]} there")
+            found.append(f"{path} is {mine[path]} on this side, {theirs[path]} on the other")
     if not found:
         found.append("the fields are in a different order")
     more = f", and {len(found) - limit} more" if len(found) > limit else ""
@@ -216,12 +216,12 @@ class Limits:
     """Capacities of one topic's strings and sequences (spec/type-mapping.md, section 2).
 
     Attributes:
-        string: Bytes of every string that ``fields`` does not name.
-        sequence: Elements of every sequence that ``fields`` does not name.
+        string: Bytes of each string that is not listed in ``fields``.
+        sequence: Elements of each sequence that is not listed in ``fields``.
         fields: Capacity by field path, such as ``{"name": 6, "name[]": 20}``.
 
     Raises:
-        LayoutError: LAY001, a capacity is not a whole number or out of range.
+        LayoutError: LAY001 if a capacity is not a whole number or is out of range.
     """
 
     string: int = 80
@@ -239,14 +239,14 @@ class Limits:
         return hash((self.string, self.sequence, tuple(self.fields.items())))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data, as a self-description stores it."""
+        """Return the limits as plain data, as in a self-description."""
         return {"string": self.string, "sequence": self.sequence, "fields": dict(self.fields)}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Limits:
-        """Return the limits that :meth:`to_dict` wrote; the data is not trusted.
+        """Return the limits from the output of :meth:`to_dict`, which is not trusted.
 
-        Raises LayoutError: LAY001, the data has another form or a capacity is not valid.
+        Raises LayoutError: LAY001 if the data has another form or a capacity is not valid.
         """
         fields = data.get("fields", {})
         unknown = set(data) - {"string", "sequence", "fields"}
@@ -258,7 +258,7 @@ class Limits:
 def _check(capacity: object, largest: int, where: str) -> None:
     # bool is an int to Python, and `yes` in a configuration is a mistake, not a 1.
     if not isinstance(capacity, int) or isinstance(capacity, bool) or not 1 <= capacity <= largest:
-        raise LayoutError("LAY001", f"capacity {capacity!r} is not within 1 … {largest}", where=where)
+        raise LayoutError("LAY001", f"capacity {capacity!r} is not between 1 and {largest}", where=where)
 
 
 MAX_RECORD = 1 << 30  # Largest record in bytes.
@@ -359,10 +359,10 @@ class _Builder:
 
     def _capacity(self, own: int | None, bound: int | None, default: int, largest: int, path: str) -> int:
         if own is not None and bound is not None and own > bound:
-            raise LayoutError("LAY004", f"capacity {own} exceeds the bound {bound}", where=path)
+            raise LayoutError("LAY004", f"capacity {own} exceeds the definition's bound, {bound}", where=path)
         capacity = own if own is not None else default if bound is None else min(default, bound)
         if capacity > largest:
-            raise LayoutError("LAY001", f"capacity {capacity} is not within 1 … {largest}", where=path)
+            raise LayoutError("LAY001", f"capacity {capacity} is not between 1 and {largest}", where=path)
         return capacity
 
     def _none_left(self, limits: dict[str, int], path: str) -> None:
@@ -374,7 +374,7 @@ class _Builder:
         near = difflib.get_close_matches(path, known, 1, 0.5)
         hint = f"; did you mean {near[0]}?" if near else ""
         return LayoutError(
-            "LAY002", f"no string or sequence of {self._type_name} has this path{hint}", where=path
+            "LAY002", f"{self._type_name} has no string or sequence at this path{hint}", where=path
         )
 
 

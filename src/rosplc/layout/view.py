@@ -27,12 +27,12 @@ class Excerpt(list[Any]):
 class RecordView(View):
     """A message in a record: its fields are attributes, read from the bytes at each access.
 
-    A view does not copy: over a buffer that changes, its values change (``copy.deepcopy``
-    gives one that stays). Nested messages are
-    views, arrays and sequences are lists (of values, or of views), strings are ``str``; bytes
-    that are no UTF-8 become surrogates (``surrogateescape``), and packing such a string gives
-    the same bytes again. A count above a sequence's capacity reads as the capacity, and a
-    string ends at its NUL or its capacity. Two views are equal if all their fields are.
+    A view does not copy: if the buffer changes, so do the values (``copy.deepcopy`` returns an
+    independent view). Nested messages are views, arrays and sequences are lists of values or
+    views, and strings are ``str``. Bytes that are not UTF-8 become surrogates
+    (``surrogateescape``); packing restores the original bytes. A count above a sequence's
+    capacity is read as the capacity, and a string ends at its NUL or at its capacity. Two views
+    are equal if all their fields are equal.
     """
 
     __slots__ = ()
@@ -41,7 +41,7 @@ class RecordView(View):
     _names: ClassVar[tuple[str, ...]]
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
-        raise AttributeError("views of records are read-only; pack a new record to write one")
+        raise AttributeError("record views are read-only; to change values, pack a new record")
 
     def __dir__(self) -> list[str]:
         return [name for name in vars(type(self)) if not name.startswith("_")]

@@ -80,7 +80,7 @@ def _below(path: Path) -> list[Path]:
         for entry in folder.iterdir():
             number += 1
             if number > MAX_ENTRIES:
-                raise ValueError(f"it contains more than {MAX_ENTRIES} files")
+                raise ValueError(f"it contains more than {MAX_ENTRIES} files and folders")
             if entry.suffix in _SUFFIXES and entry.is_file():
                 files.append(entry)
             elif entry.is_dir() and not entry.is_symlink() and not _ignored(entry):
@@ -105,7 +105,7 @@ def read(file: Path) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        raise MessageTypeError("TYP002", "this is not UTF-8 text", where=f"{file}:{line}") from None
+        raise MessageTypeError("TYP002", "the text is not UTF-8", where=f"{file}:{line}") from None
     except OSError as error:
         raise MessageTypeError("TYP008", f"cannot be read: {error.strerror}", where=str(file)) from None
 

@@ -69,7 +69,7 @@ def parse_interface(
         cuts = [len(lines)]
     if len(cuts) != len(parts) - 1:
         line = cuts[len(parts) - 1] if len(cuts) >= len(parts) else len(lines) - 1
-        what = f"{' and '.join(parts).lower()} need {len(parts) - 1} × `---`, not {len(cuts)}"
+        what = f"expected {len(parts) - 1} × `---` between {', '.join(parts).lower()}; found {len(cuts)}"
         raise MessageTypeError("TYP002", what, where=f"{where}:{line + 1}")
     found: list[ParsedType] = []
     for part, start, end in zip(parts, [-1, *cuts], [*cuts, len(lines)], strict=True):

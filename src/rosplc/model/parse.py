@@ -109,7 +109,7 @@ def _parse_scalar(text: str, kind: types.PrimitiveType | types.StringType) -> bo
     if kind.written == "byte" and 128 <= value < 256:
         return value - 256
     if not low <= value <= high:
-        raise LiteralError(f"{value} is not within {kind.name} ({low} … {high})")
+        raise LiteralError(f"{value} is outside the range of {kind.name} ({low} … {high})")
     return value
 
 
@@ -123,7 +123,7 @@ def _parse_float(text: str, name: str) -> float:
     except OverflowError:
         fits = False
     if not fits:
-        raise LiteralError(f"{_cut(text)} is not within {name}")
+        raise LiteralError(f"{_cut(text)} is outside the range of {name}")
     return value
 
 
@@ -133,7 +133,7 @@ def _parse_string(text: str, kind: types.StringType) -> str:
         inner = quoted.group(1) if quoted.group(1) is not None else quoted.group(2)
         value = re.sub(r"\\(.)", lambda m: _ESCAPES.get(m[1], m[0]), inner)
     elif text[:1] in ('"', "'"):
-        raise LiteralError("a quotation mark is missing")
+        raise LiteralError("the closing quotation mark is missing")
     else:
         value = text
     if "\0" in value:
@@ -198,7 +198,7 @@ def check_names(message: types.MessageType) -> None:
     items: list[types.Field | types.Constant] = [*message.fields, *message.constants]
     for item in items:
         if not _NAME.match(item.name) or len(item.name) > MAX_NAME or item.name in seen:
-            what = "is defined twice" if item.name in seen else "is not a valid name of a field or constant"
+            what = "is defined twice" if item.name in seen else "is not a valid field or constant name"
             raise MessageTypeError("TYP002", f"{item.name[:80]!r} {what}", where=message.name)
         seen.add(item.name)
 
@@ -221,7 +221,7 @@ def parse_definition(
     # JSON can hold halves of characters: no file can, and no hash has a form for them.
     if half := _HALF.search(text):
         number = text.count("\n", 0, half.start()) + 1
-        raise _syntax(f"{half[0]!r} is not a character", where, number)
+        raise _syntax(f"{half[0]!r} is not a valid character", where, number)
     found: dict[str, ParsedType] = {}
     budget = MAX_FIELDS
     sections = list(_sections(full_name(type_name), text, where))
@@ -257,7 +257,7 @@ def _sections(name: str, text: str, where: str) -> Iterator[tuple[str, str, list
         else:
             lines.append((number, line))
     if wants_header:
-        raise _syntax("the definition ends after a separator", where, text.count("\n") + 1)
+        raise _syntax("the definition ends after a separator line", where, text.count("\n") + 1)
     yield name, place, lines
 
 
@@ -282,7 +282,7 @@ def _parse_section(
             raise _syntax(f"{item.name} is defined twice", where, number)
         names.add(item.name)
         if len(names) > budget:
-            raise MessageTypeError("TYP007", f"more than {MAX_FIELDS} fields", where=f"{where}:{number}")
+            raise MessageTypeError("TYP007", f"too many fields: over {MAX_FIELDS}", where=f"{where}:{number}")
         if isinstance(item, types.Constant):
             constants.append(item)
         else:
@@ -299,10 +299,10 @@ def _parse_line(line: str, package: str, ros_version: int) -> types.Field | type
     if len(name) > MAX_NAME or len(type_text) > 2 * MAX_NAME:
         raise LiteralError(f"a name has more than {MAX_NAME} characters")
     if (found := parse_field_type(type_text, package, ros1=ros_version == 1)) is None:
-        raise LiteralError(f"{type_text[:80]!r} is not a type")
+        raise LiteralError(f"{type_text[:80]!r} is not a valid type")
     kind, valid = found
     if not valid:
-        raise LiteralError(f"{type_text[:80]!r}: lengths and bounds must be within 1 … 4294967295")
+        raise LiteralError(f"{type_text[:80]!r}: lengths and bounds must be from 1 to 4294967295")
     if rest.startswith("="):
         return _parse_constant(name, kind, rest[1:], ros_version)
     literal = strip_comment(rest)
@@ -311,7 +311,7 @@ def _parse_line(line: str, package: str, ros_version: int) -> types.Field | type
 
 def _parse_constant(name: str, kind: types.FieldType, text: str, ros_version: int) -> types.Constant:
     if not isinstance(kind, types.PrimitiveType | types.StringType):
-        raise LiteralError(f"a constant cannot have the type {kind}")
+        raise LiteralError(f"a constant cannot be of type {kind}")
     if isinstance(kind, types.StringType) and ros_version == 1:
         literal = text.strip()  # no comments and no quotes there: http://wiki.ros.org/msg
         return types.Constant(name, kind, literal, literal)

@@ -52,14 +52,14 @@ _WORDS = {"msg": "a message", "srv": "a service", "action": "an action"}
 
 
 class TypeStore:
-    """Message types, services and actions by name; never changes, adding types makes a new store.
+    """Message types, services and actions by name. A store never changes: adding types returns a new one.
 
     The messages of services and actions (``package/srv/Name_Request``, ``package/action/Name_Goal``, …) are
-    found as any message is; their text is parsed when one is first asked for.
+    available like any other message; their definitions are parsed on first use.
 
     Attributes:
-        distro: The ROS distribution whose definitions it starts from, or a
-            self-description's; empty if unknown.
+        distro: The ROS distribution of the definitions, from a bundle or a
+            self-description; empty if unknown.
         ros_version: 1 or 2.
     """
 
@@ -80,7 +80,7 @@ class TypeStore:
 
     @classmethod
     def bundled(cls, distro: str) -> TypeStore:
-        """Return the types that come with a ROS distribution; TYP006: no such distribution is bundled."""
+        """Return the types of a ROS distribution; TYP006 if the distribution is not bundled."""
         if distro not in DISTROS:
             near = difflib.get_close_matches(distro, DISTROS, 1)
             hint = f"; did you mean {near[0]}?" if near else ""
@@ -91,14 +91,14 @@ class TypeStore:
     def from_definition(cls, type_name: str, text: str, *, distro: str = "") -> TypeStore:
         """Rebuild a type from a self-description's text, which is not trusted.
 
-        The text defines it first, then every type it needs (spec/type-mapping.md, section 6). ``distro`` is
-        the self-description's; only ``noetic`` means ROS 1. Raises MessageTypeError: TYP001 a needed
-        type is missing, TYP002 syntax, TYP003, TYP004, TYP005, TYP007 limits.
+        The text defines the type first, then its dependencies (spec/type-mapping.md, section 6). ``distro``
+        is the self-description's distribution; only ``noetic`` means ROS 1. Raises MessageTypeError TYP001
+        (a dependency is missing), TYP002 (syntax), TYP003, TYP004, TYP005, TYP007 (limits).
         """
         return cls(distro, {}).with_definition(type_name, text)
 
     def with_definition(self, type_name: str, text: str) -> TypeStore:
-        """Return a store that knows the types of a definition text as well; see :meth:`from_definition`."""
+        """Return a store that also contains the types of a definition text; see :meth:`from_definition`."""
         merged, found = self._copy(), parse_definition(type_name, text, ros_version=self.ros_version)
         for parsed in found:
             merged._merge(parsed)
@@ -107,7 +107,7 @@ class TypeStore:
         return merged
 
     def with_events(self, name: str) -> TypeStore:
-        """Return a store that knows a service or action as well; TYP001 if it lacks a part's message."""
+        """Return a store that also contains a service or action; TYP001 if one of its messages is missing."""
         merged, parts = self._copy(), PARTS.get(kind_of(name))
         if parts is None:
             raise MessageTypeError("TYP001", f"{name} is neither a service nor an action")
@@ -117,7 +117,7 @@ class TypeStore:
         return merged
 
     def with_types_of(self, source: TypeStore, *names: str) -> TypeStore:
-        """Return a store that has types of another, and what they need, where it has none of their names."""
+        """Return a store that also contains types of another store and their dependencies, if missing."""
         merged = self._copy()
         merged._types = {
             each: source[each] for name in names for each in source.dependencies(name)
@@ -126,12 +126,12 @@ class TypeStore:
         return merged
 
     def with_paths(self, paths: Iterable[Path]) -> TypeStore:
-        """Return a store that knows the custom types below these folders as well.
+        """Return a store that also contains the custom types in these paths.
 
-        The folders may need each other, in any order. A type with a mistake, or with another definition
-        elsewhere, is an error when it is used: a folder of a whole workspace will do. ``paths`` are folders
-        with ``package/msg/Name.msg`` or ``package/Name.msg``, folders of a package, or single files; ``.srv``
-        and ``.action`` likewise. Raises MessageTypeError TYP008, a path cannot be read.
+        Types may depend on types in other paths. A type with an error, or with two different definitions,
+        fails only when it is used, so a path may be a whole workspace. ``paths`` are folders with
+        ``package/msg/Name.msg`` or ``package/Name.msg``, packages' folders, or single files; the same applies
+        to ``.srv`` and ``.action``. Raises MessageTypeError TYP008 if a path cannot be read.
         """
         parsed, interfaces, broken, nameless = parse_paths(map(Path, paths), self.ros_version)
         merged = self._copy()
@@ -168,21 +168,21 @@ class TypeStore:
         return len(self._types)
 
     def names(self) -> tuple[str, ...]:
-        """Return the full names of all messages that can be used, sorted; without services' and actions'."""
+        """Return the full names of all usable messages, sorted, without those of services and actions."""
         return tuple(sorted(name for name in self._types if self._error(name) is None))
 
     def services(self) -> tuple[str, ...]:
-        """Return the full names of all services that can be used, sorted; without those of actions."""
+        """Return the full names of all usable services, sorted, without those of actions."""
         return self._usable("srv")
 
     def actions(self) -> tuple[str, ...]:
-        """Return the full names of all actions that can be used, sorted."""
+        """Return the full names of all usable actions, sorted."""
         return self._usable("action")
 
     def resolve(self, name: str) -> str:
-        """Return the full name of the message, service or action that ``package/Name`` means, in this order.
+        """Return the full name for ``package/Name``: of a message, else of a service, else of an action.
 
-        A name that is not known becomes a message's.
+        An unknown name is treated as a message's name.
         """
         full = [full_name(name, kind) for kind in ("msg", *PARTS)]
         return next((each for each in full if each in self._interfaces or each in self), full[0])
@@ -190,7 +190,7 @@ class TypeStore:
     def service(self, name: str) -> ServiceType:
         """Return a service by ``package/srv/Name`` or ``package/Name``; errors as :meth:`__getitem__`.
 
-        In ROS 2 also those of an action: ``package/action/Name_SendGoal`` and ``…_GetResult``.
+        In ROS 2, an action also has services: ``package/action/Name_SendGoal`` and ``…_GetResult``.
         """
         own = self._interface(name, "srv")
         return ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
@@ -201,7 +201,7 @@ class TypeStore:
         return ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))
 
     def problems(self) -> tuple[MessageTypeError, ...]:
-        """Return what is wrong with custom types and their files; none of it matters until a type is used."""
+        """Return the errors in custom types and their files; they have no effect until a type is used."""
         custom = (name for name, sources in self._interfaces.items() if isinstance(sources[-1], Path))
         found = (self._error(name) for name in sorted({*self._parsed, *self._broken, *custom}))
         return (*self._nameless, *filter(None, found))
@@ -220,13 +220,13 @@ class TypeStore:
         return None
 
     def dependencies(self, name: str) -> tuple[str, ...]:
-        """Return every type that ``name`` needs, each after those it needs, itself last."""
+        """Return all types that ``name`` depends on, in order of dependency, and ``name`` itself last."""
         order: dict[str, int] = {}
         self._visit(self[name].name, order, (), "")
         return tuple(order)
 
     def definition_text(self, name: str) -> str:
-        """Return the definition with every type it needs (spec/type-mapping.md, section 6)."""
+        """Return the definition of a type and its dependencies (spec/type-mapping.md, section 6)."""
         first = self[name]
         order: dict[str, None] = {}
         self._collect(first.name, order)
@@ -241,7 +241,7 @@ class TypeStore:
         return rihs01(self._get(own), [self._get(other) for other in others])
 
     def service_hash(self, name: str) -> str:
-        """Return ROS 2's type hash of a service; its messages have hashes of their own."""
+        """Return ROS 2's type hash of a service; its messages have separate hashes."""
         return self._hash_of(self._interface(name, "srv"))
 
     def action_hash(self, name: str) -> str:
@@ -283,7 +283,7 @@ class TypeStore:
         old = self._types.get(new.name)
         if old is not None and not _same_shape(old, new):
             known = self._parsed.get(new.name)
-            other = known.where if known else f"that of {self.distro}" if self.distro else "the known one"
+            other = known.where if known else f"that of {self.distro}" if self.distro else "another one"
             raise MessageTypeError(
                 "TYP005", f"this definition of {new.name} differs from {other}", where=parsed.where
             )
@@ -362,7 +362,7 @@ class TypeStore:
         if not any(other.startswith(f"{package}/") for other in every):
             remedy = (
                 f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder "
-                "to types.paths (`--path` of `rosplc types`); ROS installs it as "
+                "to types.paths (`--path` of `rosplc types`); ROS installs it in "
                 f"/opt/ros/DISTRO/share/{package}.{learnt}"
             )
         return MessageTypeError("TYP001", what, where=where, remedy=remedy)
@@ -391,7 +391,7 @@ class TypeStore:
         heights[name] = 1 + max(below)
         if heights[name] > MAX_DEPTH or len(above) >= MAX_DEPTH:
             del heights[name]
-            raise MessageTypeError("TYP007", f"types are nested deeper than {MAX_DEPTH}", where=where)
+            raise MessageTypeError("TYP007", f"types are nested more than {MAX_DEPTH} deep", where=where)
         return heights[name]
 
     def _collect(self, name: str, order: dict[str, None]) -> None:

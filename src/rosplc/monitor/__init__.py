@@ -1,4 +1,4 @@
-"""Read-only looks at running channels, for people and for tools."""
+"""Read-only views of running channels, for people and tools."""
 
 from rosplc.monitor.classic import Expectation, Expected
 from rosplc.monitor.message import Message, numbers

@@ -1,7 +1,7 @@
-"""What only a configuration knows: what to expect of a topic, and a classic topic's memory and lock.
+"""Data that only a configuration has: what is expected of a topic, and a classic topic's memory and lock.
 
-The lock is not taken: an observer must not make a PLC wait. A record read without it may be half written, and
-is read until two reads agree.
+The lock is not taken: an observer must not delay a PLC. A record read without the lock may be half written,
+so it is read until two reads agree.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from rosplc.shm.files import describe_owner
 class Expectation:
     """What is expected of one topic.
 
-    Its newest message may be ``stale_after_ns`` old, 0 for any age; ``in_order``: each message counts, so
-    that a loss is a fault, False where it is not known; ``configured``: this is from a configuration.
+    Its newest message may be ``stale_after_ns`` old, 0 for any age; ``in_order``: each message matters, so a
+    loss is a fault; False if unknown; ``configured``: this is from a configuration.
     """
 
     stale_after_ns: int
@@ -36,10 +36,10 @@ class Expectation:
 
 @dataclass(frozen=True)
 class Expected:
-    """What configurations expect: per prefix and topic, and of classic topics with their bridge's prefix.
+    """The expectations of configurations: by prefix and topic, and classic topics with their bridge's prefix.
 
     ``calls`` are the objects of services and actions: prefix, name, part and client.
-    ``stale_after_ns`` is for topics towards the PLC that no configuration names; 0 for never.
+    ``stale_after_ns`` is for topics towards the PLC that are in no configuration; 0 for never.
     """
 
     topics: Mapping[tuple[str, str], Expectation] = field(default_factory=dict)
@@ -49,7 +49,7 @@ class Expected:
     prefixes: frozenset[str] = frozenset()
 
     def of(self, prefix: str, topic: str, direction: Direction, part: Part = Part.TOPIC) -> Expectation:
-        """Return what is expected of a topic; calls may come at any time, or never."""
+        """Return what is expected of a topic; calls may arrive at any time, or never."""
         if part is not Part.TOPIC:
             return Expectation(0, configured=any(call[:2] == (prefix, topic) for call in self.calls))
         # Without a configuration silence towards ROS is never stale.
@@ -58,7 +58,7 @@ class Expected:
 
 
 def expected_by(files: Iterable[Path]) -> Expected:
-    """Read configurations and return what they expect together. Raises ConfigErrors if a file is wrong."""
+    """Read configurations and return their expectations together. Raises ConfigErrors if one is invalid."""
     found = [expected_of(load_project(file)) for file in files]
     return Expected(
         {key: topic for each in found for key, topic in each.topics.items()},
@@ -69,7 +69,7 @@ def expected_by(files: Iterable[Path]) -> Expected:
 
 
 def expected_of(project: Project) -> Expected:
-    """Return what a resolved configuration expects."""
+    """Return the expectations of a resolved configuration."""
     prefix = project.namespace.prefix
     topics: dict[tuple[str, str], Expectation] = {}
     classic: list[tuple[str, TopicPlan]] = []
@@ -89,9 +89,9 @@ _ATTEMPTS = 100
 class ClassicState:
     """Memory and lock at one moment.
 
-    ``semaphore`` is empty if there is none by configuration; ``size`` 0 while there is no memory; ``owner``
-    reads ``root:root 0750``. ``value`` is 1 if the lock is free, 0 if it is taken, None if it cannot be read;
-    ``record`` None likewise: ``error`` and ``code`` are why.
+    ``semaphore`` is empty if none is configured; ``size`` is 0 while there is no memory; ``owner`` is like
+    ``root:root 0750``. ``value`` is 1 if the lock is free, 0 if it is taken, None if it cannot be read;
+    ``record`` is None if it cannot be read, with the reason in ``error`` and ``code``.
     """
 
     name: str
@@ -105,7 +105,7 @@ class ClassicState:
 
     @property
     def lock(self) -> str:
-        """The lock in a word."""
+        """The state of the lock as a word."""
         if not self.semaphore:
             return "none"
         if self.value is None:
@@ -114,7 +114,7 @@ class ClassicState:
 
 
 def look_at(plan: TopicPlan) -> ClassicState:
-    """Return a classic topic's memory and lock; what is missing is in ``error``."""
+    """Return the state of a classic topic's memory and lock; ``error`` shows what is missing."""
     assert plan.classic is not None
     name, semaphore = plan.classic.name, plan.classic.semaphore
     path = Path("/dev/shm") / name
@@ -138,7 +138,7 @@ def look_at(plan: TopicPlan) -> ClassicState:
 
 
 def semaphore_value(path: Path) -> int | None:
-    """Return how many could enter now; None if the file cannot be read or is no semaphore of glibc."""
+    """Return a semaphore's value; None if the file cannot be read or is not a glibc semaphore."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -149,7 +149,7 @@ def semaphore_value(path: Path) -> int | None:
 
 
 class ClassicWatch:
-    """Watches one classic memory of a bridge's prefix; nothing stays open between two looks."""
+    """Monitors one classic memory of a bridge's prefix; nothing stays open between two looks."""
 
     def __init__(self, prefix: str, topic: TopicPlan) -> None:
         assert topic.classic is not None
@@ -162,7 +162,7 @@ class ClassicWatch:
         self._since_ns: int | None = None
 
     def look(self, now_ns: int) -> ChannelView:
-        """Return the memory's state; ``now_ns`` is of a monotonic clock."""
+        """Return the memory's state; ``now_ns`` is from a monotonic clock."""
         topic, found = self._topic, look_at(self._topic)
         if self._since_ns is None:
             self._since_ns = now_ns
@@ -211,7 +211,7 @@ class ClassicWatch:
         if found.error:
             return State.UNREADABLE, found.error
         if found.lock in ("missing", "not readable"):
-            return State.UNREADABLE, f"its semaphore {found.semaphore} is {found.lock}"
+            return State.UNREADABLE, f"semaphore {found.semaphore} is {found.lock}"
         if stale:
             return State.STALE, "the record has not changed for longer than allowed"
         return State.OK, f"classic memory, lock: {found.lock}"

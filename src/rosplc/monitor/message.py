@@ -1,4 +1,4 @@
-"""The newest message of a channel, decoded by its description, and what it tells of a call (spec, 11.2)."""
+"""The newest message of a channel, decoded by its description, and its call, if any (spec, 11.2)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rosplc.shm import constants as spec
 from rosplc.shm.calls import ENDS, WORDS
 
 _ASKED = (
-    (spec.ASK_CANCEL, "to be canceled"),
-    (spec.ASK_PREEMPT, "to make room for another"),
+    (spec.ASK_CANCEL, "cancel requested"),
+    (spec.ASK_PREEMPT, "preempt requested"),
     (spec.ASK_WITHDRAWN, "withdrawn"),
 )
 _ANSWERS = {
@@ -32,7 +32,7 @@ _ANSWERS = {
 _ADDED = (
     (spec.ANSWER_CANCEL_ACCEPTED, "canceling"),
     (spec.ANSWER_CANCEL_REJECTED, "cancel rejected"),
-    (spec.ANSWER_NO_RESULT, "without its result, which does not fit"),
+    (spec.ANSWER_NO_RESULT, "result omitted (too large)"),
 )
 
 
@@ -48,7 +48,7 @@ def status_words(part: Part, status: int, reason: int) -> str:
 
 
 class Calls:
-    """Follows the calls in one object of a service or an action."""
+    """Tracks the calls in one object of a service or action."""
 
     def __init__(self, attached: Attached) -> None:
         self._attached, self._part = attached, Part(attached.identity.kind)
@@ -59,7 +59,7 @@ class Calls:
         self._end = 0
 
     def look(self, head: int) -> CallView:
-        """Return what the object tells, its newest message being ``head``."""
+        """Return the object's calls, with ``head`` as its newest message."""
         # What was overtaken is still in a slot for a while.
         new = min(head - self._last, self._attached.identity.slot_count - 1) if head > self._last else 1
         for sequence in range(max(1, head - new + 1), head + 1) if head != self._last else ():
@@ -82,7 +82,7 @@ class Calls:
 
 
 def joined(views: Iterable[ChannelView]) -> list[ChannelView]:
-    """Return views in which those of requests and goals know what became of the newest call."""
+    """Return the views, with the outcome of the newest call added to those of requests and goals."""
     views = list(views)
     answers = {
         (view.prefix, view.kind, view.topic, view.client): view.call
@@ -117,10 +117,10 @@ _CLOCKS = {spec.STAMP_SYSTEM: "system", spec.STAMP_ROS: "ros", spec.STAMP_PLC: "
 class Message:
     """A message, with its values as nested dicts and lists in the order of the type.
 
-    ``channel`` is the channel's id; ``sequence`` its number, 0 for a classic topic, which has none;
-    ``stamp_ns`` the source's time stamp since the epoch of its ``clock``, which is ``system``, ``ros`` or
-    ``plc``: 0 and empty for none. ``marks`` are those of ``first``, ``truncated`` and ``substituted`` that
-    hold, and a call's number and status.
+    ``channel`` is the channel's id; ``sequence`` is the message's number, 0 for a classic topic, which has
+    none; ``stamp_ns`` is the source's time stamp since the epoch of its ``clock``, which is ``system``,
+    ``ros`` or ``plc``; 0 and empty without a stamp. ``marks`` contains ``first``, ``truncated`` and
+    ``substituted`` if they apply, and a call's number and status.
     """
 
     channel: str
@@ -132,12 +132,12 @@ class Message:
     values: dict[str, Any]
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain data; NaN and infinity are still in it."""
+        """Return plain data, which may contain NaN and infinity."""
         return {name: getattr(self, name) for name in self.__slots__} | {"marks": list(self.marks)}
 
 
 def marks_of(flags: int) -> tuple[str, ...]:
-    """Return a slot's flags in words."""
+    """Return a slot's flags as words."""
     return tuple(word for bit, word in _MARKS if flags & bit)
 
 
@@ -151,7 +151,7 @@ def message_of(
 ) -> Message:
     """Return a record as a message, at most ``elements`` of each array (None: all).
 
-    ``info`` is the record's slot header; None for a classic topic. ``part``: what the record is.
+    ``info`` is the record's slot header; None for a classic topic. ``part`` is the kind of the record.
     """
     values = layout.to_dict(record) if elements is None else layout.excerpt(record, elements)
     if info is None:
@@ -168,7 +168,7 @@ def message_of(
 def numbers(values: Any, *, elements: int = 64, path: str = "") -> Iterator[tuple[str, float]]:
     """Yield the path and value of every number in a message, ``pose.position.x`` or ``ranges[3]``.
 
-    At most ``elements`` of an array are followed. A BOOL is 0 or 1; what is not finite is left out.
+    At most ``elements`` of an array are included. A BOOL is 0 or 1; values that are not finite are omitted.
     """
     if isinstance(values, dict):
         for name, value in values.items():

@@ -1,6 +1,6 @@
-"""What a look at the machine's channels returns, as frozen data and as text, and what happened between two.
+"""The result of a look at the machine's channels, as frozen data and text, and the events between two looks.
 
-The states' words and levels are those of ``/diagnostics``. A bridge knows its topics and reports more; a look
+The states' words and levels are those of ``/diagnostics``. A bridge reports more about its topics; a look
 reads the objects, which remain when the bridge is dead.
 """
 
@@ -17,10 +17,10 @@ from rosplc.levels import Level, format_age
 
 
 class State(enum.Enum):
-    """The state of a channel, the worst first. The value is the word for people and for JSON."""
+    """The state of a channel, worst first. The value is the word for display and JSON."""
 
     UNREADABLE = "unreadable"
-    """The object cannot be used: damaged, closed to this user, no object of this format."""
+    """The object cannot be used: damaged, not accessible to this user, or of another format."""
     MISSING = "missing"  # the configuration names the topic, and there is no object
     DEAD = "dead"  # bridge or PLC hold a claim, and do not beat any more: killed, stopped, or stuck
     NO_BRIDGE = "no bridge"  # the bridge ended in order, and left the last message
@@ -35,12 +35,12 @@ class State(enum.Enum):
 
     @property
     def severity(self) -> int:
-        """0 for ``ok``, more for what is worse."""
+        """0 for ``ok``, higher for worse states."""
         return _SEVERITY[self]
 
     @property
     def level(self) -> Level:
-        """The level that ``/diagnostics`` gives it."""
+        """The level in ``/diagnostics``."""
         return _LEVELS.get(self, Level.WARN)
 
 
@@ -58,10 +58,10 @@ ASKS = ("request", "goal")  # the parts of services and actions that the caller 
 class ReaderView:
     """A claimed reader line; line 0 of a channel towards ROS is the bridge's.
 
-    ``task`` and ``pid`` are what the reader gave, for people; ``alive`` is None before that can be known.
-    ``taken`` is the sequence of the newest message taken; ``lost`` counts messages missed, which a reader
-    that takes the newest alone does by design, ``retries`` copies thrown away because the writer came too
-    near; ``error`` is its last error number, 0 for none.
+    ``task`` and ``pid`` are the reader's own data, for display; ``alive`` is None until it is known.
+    ``taken`` is the sequence of the newest message taken; ``lost`` counts missed messages (a reader that
+    takes only the newest misses some by design); ``retries`` counts copies discarded because the writer
+    came too close; ``error`` is the reader's last error number, 0 for none.
     """
 
     index: int
@@ -76,13 +76,13 @@ class ReaderView:
 
 @dataclass(frozen=True, slots=True)
 class CallView:
-    """What an object of a service or action tells of calls, which ``server`` (plc or ros) carries out.
+    """The calls in an object of a service or action, which ``server`` (plc or ros) executes.
 
     ``number`` is the newest message's call, counted since its caller started, 0 before the first message;
-    ``correlation`` the same, unique over all lives of the caller: 16 hexadecimal digits. ``status`` is the
-    newest message's status in words, with the reason. ``open``: the newest call has not ended; None where
-    that cannot be known. ``ended`` are the calls that were seen to end, by outcome and reason in words, in
-    the object of the answers; the first look counts those that the object still has.
+    ``correlation`` is the same, unique over all runs of the caller, as 16 hexadecimal digits. ``status`` is
+    the newest message's status as text, with the reason. ``open``: the newest call has not ended; None if
+    unknown. ``ended`` counts, in the object of the answers, the calls that were seen to end, by outcome and
+    reason; the first look counts those that are still in the object.
     """
 
     server: str
@@ -95,30 +95,30 @@ class CallView:
 
 @dataclass(frozen=True, slots=True)
 class ChannelView:
-    """One channel at one moment. Text comes from the object, and may hold any character.
+    """One channel at one moment. Text comes from the object and may contain any character.
 
-    ``id`` is the object's name, unique on the machine, or ``classic:`` and the memory's name; ``topic`` as
-    ROS writes it, of a service or action its name, and the object's name where that cannot be known; ``kind``
-    is ``topic``, ``service`` or ``action``, ``part`` ``topic`` or what a service's or action's object
-    carries, ``client`` the name of one of several uses, ``call`` None for a topic and where it cannot be
-    known. ``direction`` (``to_plc`` or ``to_ros``) and ``type_name`` are empty if they cannot be known.
+    ``id`` is the object's name, unique on the machine, or ``classic:`` and the memory's name; ``topic`` is
+    the ROS name of the topic, service or action, or the object's name if that is unknown; ``kind`` is
+    ``topic``, ``service`` or ``action``; ``part`` is ``topic`` or the part of a service or action in this
+    object; ``client`` is the name of one of several uses; ``call`` is None for a topic or if unknown.
+    ``direction`` (``to_plc`` or ``to_ros``) and ``type_name`` are empty if unknown.
 
-    ``words`` is the state in a sentence, without time or numbers that change at each look; ``code`` the
-    error's code where there is one. ``rate_hz`` counts the last seconds, None before it can be known.
-    ``age_ns`` is None before the first message, and exact once one came while looking; before, it is taken
-    from the message's stamp, and is at least the time of looking. ``received`` is the sequence of the newest
-    message, for a classic topic, which has none, the changes that were seen; ``lost`` what the reader that
-    missed most has missed (one that takes the newest alone misses by design); ``refused`` could not be put
-    into a record, ``truncated`` had something cut off.
+    ``words`` describes the state in a sentence, without times or numbers that change at each look; ``code``
+    is the error code, if any. ``rate_hz`` covers the last seconds; it is None until known. ``age_ns`` is
+    None before the first message, and exact after a message arrived during monitoring; before that, it is
+    derived from the message's stamp and is at least the monitoring time. ``received`` is the sequence of the
+    newest message, or for a classic topic, which has none, the number of observed changes; ``lost`` is the
+    highest loss of any reader (a reader that takes only the newest misses some by design); ``refused``
+    counts messages that did not fit into a record, ``truncated`` those with something cut off.
 
     ``writer_alive`` and ``reader_alive``, one of which is ``bridge_alive`` and the other ``plc_alive``, are
-    None where that cannot be known, or not yet; ``plc_claimed``: the PLC's side holds a claim, alive, or dead
-    without having given it back; ``bridge_pid`` is 0 if there is none. ``ros_peers`` are ROS publishers or
-    subscribers, clients or servers; None if they are not counted. ``stale``: the newest message is older than
-    ``stale_after_ns`` (0 for never), which is from a configuration if ``configured``, else the default;
-    ``silent``: the same, half a second later and half a second longer, so that one late message changes
-    nothing. ``generation`` is a random number, another for each object; ``created_ns`` when it was made, ns
-    since 1970 UTC.
+    None if unknown, or not yet known; ``plc_claimed``: the PLC's side holds a claim, is alive, or died
+    without releasing the claim; ``bridge_pid`` is 0 if there is none. ``ros_peers`` is the number of ROS
+    publishers, subscribers, clients or servers; None if they are not counted. ``stale``: the newest message
+    is older than ``stale_after_ns`` (0 for never), which is configured if ``configured``, otherwise the
+    default; ``silent``: the same, half a second later and half a second longer, so that one late message
+    has no effect. ``generation`` is a random number, different for each object; ``created_ns`` is the
+    creation time, ns since 1970 UTC.
     """
 
     id: str
@@ -162,11 +162,11 @@ class ChannelView:
 
     @property
     def label(self) -> str:
-        """What people call it: ``/cmd_vel``, ``/gripper/close request left``."""
+        """The display name: ``/cmd_vel``, ``/gripper/close request left``."""
         return self.topic if self.kind == "topic" else f"{self.topic} {self.part} {self.client}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain data; ``state`` as its word, with its ``level`` and ``severity``."""
+        """Return plain data; ``state`` as a word, with its ``level`` and ``severity``."""
         members = {name: getattr(self, name) for name in self.__slots__}
         members["state"] = self.state.value
         members["level"] = self.state.level.name
@@ -179,11 +179,11 @@ class ChannelView:
 
 @dataclass(frozen=True, slots=True)
 class BridgeView:
-    """One bridge as its channels show it.
+    """One bridge as shown by its channels.
 
-    ``pid`` is its process, as it wrote it, 0 if it has ended; ``alive`` None before it can be known;
-    ``process`` the state of its process in words, if it does not beat; ``worst`` the worst state among its
-    channels.
+    ``pid`` is the process number that the bridge wrote, 0 if it has ended; ``alive`` is None until known;
+    ``process`` is the state of its process as text, if it has no heartbeat; ``worst`` is the worst state
+    among its channels.
     """
 
     prefix: str
@@ -201,12 +201,12 @@ class BridgeView:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened between two looks, seen at ``time_ns`` since 1970 UTC.
+    """An event between two looks, detected at ``time_ns`` since 1970 UTC.
 
     ``kind`` is ``appeared``, ``vanished``, ``replaced``, ``unreadable``, ``readable``, ``stale``,
     ``recovered``, ``refused``, ``lost``, ``truncated``, ``bridge-gone``, ``bridge-back``, ``plc-gone`` or
-    ``plc-back``; ``level`` OK for what is no trouble, or its end; ``channel`` the channel's id, empty where
-    it concerns a whole bridge, as is ``topic``; ``words`` a sentence.
+    ``plc-back``; ``level`` is OK for no problem, or its end; ``channel`` is the channel's id, empty (like
+    ``topic``) for an event of a whole bridge; ``words`` is a sentence.
     """
 
     time_ns: int
@@ -226,8 +226,8 @@ class Event:
 class Picture:
     """The machine's channels at one moment.
 
-    Channels are sorted by prefix, topic and id, bridges by prefix and name. ``events`` happened since the
-    look before; ``notes`` are what keeps the picture from being complete.
+    Channels are sorted by prefix, topic and id, bridges by prefix and name. ``events`` occurred since the
+    previous look; ``notes`` explain why the picture is incomplete.
     """
 
     time_ns: int
@@ -238,17 +238,17 @@ class Picture:
 
     @property
     def worst(self) -> State:
-        """The worst state among the channels; ``ok`` if there are none, which JSON gives as null."""
+        """The worst state among the channels; ``ok`` if there are none (null in JSON)."""
         return max((each.state for each in self.channels), key=lambda state: state.severity, default=State.OK)
 
     @property
     def wrong(self) -> tuple[ChannelView, ...]:
-        """The channels with which something is wrong, the worst first."""
+        """The channels with a problem, worst first."""
         found = (each for each in self.channels if each.state not in ALL_WELL)
         return tuple(sorted(found, key=lambda each: -each.state.severity))
 
     def channel(self, identifier: str) -> ChannelView | None:
-        """Return the channel with an id; None if there is none any more."""
+        """Return the channel with an id; None if it does not exist, or no longer exists."""
         return next((each for each in self.channels if each.id == identifier), None)
 
     def as_json(self) -> dict[str, Any]:
@@ -266,10 +266,10 @@ class Picture:
 def judge(
     seen: ChannelView, *, starting: bool = False, refused_lately: bool = False, lost_lately: bool = False
 ) -> tuple[State, str]:
-    """Return how a channel is, in a word and a sentence; of several things the worst counts.
+    """Return a channel's state and a sentence for it; of several problems, the worst counts.
 
-    ``starting``: the bridge has a claim, and is too young to be expected to beat. ``lost_lately``: messages
-    were lost where each one counts.
+    ``starting``: the bridge has a claim but is too young for a heartbeat. ``lost_lately``: messages were
+    lost on a topic where each one matters.
     """
     to_plc = seen.direction == "to_plc"
     if seen.bridge_alive is False:
@@ -289,7 +289,7 @@ def judge(
     if refused_lately:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log shows why"
     if lost_lately:
-        return State.LOST, "messages that should be read are lost; raise slots: or read more per scan"
+        return State.LOST, "messages that should be read are lost; raise slots: or read more each scan"
     # Before silence, which begins with time: the same in the first second as in the tenth.
     if seen.plc_alive is False and not seen.received:
         return _no_plc(seen)
@@ -307,7 +307,7 @@ def judge(
         return State.OK, "no publisher" if to_plc else "no subscriber"
     if not seen.received:
         return State.OK, "no message yet"
-    return State.OK, "messages arrive" if seen.rate_hz else "no message at present, which is allowed"
+    return State.OK, "messages arrive" if seen.rate_hz else "no message at present (this is allowed)"
 
 
 def _no_plc(seen: ChannelView) -> tuple[State, str]:
@@ -320,7 +320,7 @@ def _no_plc(seen: ChannelView) -> tuple[State, str]:
 
 
 def silence_words(seen: ChannelView) -> str:
-    """Return a sentence on a source that is silent, or was until a moment ago."""
+    """Return a sentence about a source that is silent, or was silent until a moment ago."""
     to_plc = seen.direction == "to_plc"
     source = "ROS" if to_plc else "the PLC"
     nobody = to_plc and seen.ros_peers == 0
@@ -333,16 +333,16 @@ def silence_words(seen: ChannelView) -> str:
 
 
 MARKS = {Level.OK: " ", Level.WARN: "!", Level.ERROR: "X", Level.STALE: "~"}
-"""One character per level, for those who cannot tell colours, in any character set."""
+"""One character per level, for people who cannot distinguish colours; in any character set."""
 
 
 def state_text(view: ChannelView) -> str:
-    """Return mark and word of the state: ``X dead``."""
+    """Return the mark and word of the state: ``X dead``."""
     return f"{MARKS[view.state.level]} {view.state.value}"
 
 
 def rate_text(rate_hz: float | None) -> str:
-    """Return a rate in Hz with three digits; ``-`` while it is not known."""
+    """Return a rate in Hz with three digits; ``-`` if it is not known."""
     if rate_hz is None:
         return "-"
     return f"{rate_hz:.0f}" if rate_hz >= 100 or rate_hz == 0 else f"{rate_hz:.3g}"
@@ -370,7 +370,7 @@ def count_text(count: int) -> str:
 
 
 def plc_text(view: ChannelView) -> str:
-    """Return how the PLC's side of a channel is: ``alive``, ``dead``, ``none`` or ``?``."""
+    """Return the state of the PLC's side of a channel: ``alive``, ``dead``, ``none`` or ``?``."""
     if view.plc_alive:
         return "alive"
     if view.plc_alive is None:
@@ -379,26 +379,26 @@ def plc_text(view: ChannelView) -> str:
 
 
 def way_text(view: ChannelView) -> str:
-    """Return where the messages go."""
+    """Return the direction of the messages."""
     return {"to_plc": "→ PLC", "to_ros": "→ ROS"}.get(view.direction, "?")
 
 
 def event_text(event: Event) -> str:
-    """Return an event's place and words, without its time."""
+    """Return an event's location and text, without its time."""
     place = f"{event.topic}: " if event.topic else ""
     return f"{MARKS[event.level]} {place}{event.words}"
 
 
 _NO_SILENCE = (State.DEAD, State.NO_BRIDGE, State.MISSING, State.UNKNOWN)
-"""States with an event of their own, or too little known: that messages stop then is no further event."""
+"""States with their own event, or with too little data: stopped messages then cause no further event."""
 
 
 def channel_events(
     before: Mapping[str, ChannelView], after: Mapping[str, ChannelView], silent: set[str], time_ns: int
 ) -> Iterator[Event]:
-    """Yield what happened to channels, each by its id, between two looks.
+    """Yield the events of channels (by id) between two looks.
 
-    ``silent`` has the channels with a ``stale`` that no ``recovered`` has followed; it is brought up to date.
+    ``silent`` has the channels whose last such event is ``stale``, not ``recovered``; it is updated.
     """
     for identifier, view in after.items():
         known = before.get(identifier)
@@ -459,7 +459,7 @@ def _counters(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator
 def bridge_events(
     before: tuple[BridgeView, ...], after: tuple[BridgeView, ...], time_ns: int
 ) -> Iterator[Event]:
-    """Yield bridges that stopped beating or began to: one event each, however many channels they have."""
+    """Yield one event for each bridge whose heartbeat stopped or started, regardless of its channels."""
     known = {(bridge.prefix, bridge.name): bridge for bridge in before}
     for bridge in after:
         earlier = known.get((bridge.prefix, bridge.name))
@@ -475,7 +475,7 @@ def bridge_events(
 
 
 def grouped(events: Iterable[Event]) -> list[Event]:
-    """Return events in order, those with the same words at the same look as one: a bridge has many channels.
+    """Return events in order; events with the same text at the same look are merged into one.
 
     The ``topic`` of such an event is ``/a and 3 more``.
     """

@@ -1,4 +1,4 @@
-"""One object between two looks: what was seen before, and what follows from it now."""
+"""The data about one object that is kept between two looks, and what follows from it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rosplc.shm.header import WriterState, channel_error
 from rosplc.shm.names import Namespace
 
 _LEAST_MS = 334
-"""Beats are taken for at least so long: views look seldom, and must not flicker on a busy machine."""
+"""Minimum assumed heartbeat period: views look rarely and must not flicker on a busy machine."""
 
 
 class _Peer:
@@ -31,16 +31,16 @@ class _Peer:
 
 
 class Peers:
-    """Judges every claim of one object."""
+    """Detects whether each claimant of one object is alive."""
 
     def __init__(self) -> None:
         self._known: dict[int, _Peer] = {}
 
     def alive(self, key: int, claim: int, beat_ms: int, beat: int, count: int, now_ns: int) -> bool | None:
-        """Return whether a claimant lives; None before that can be known.
+        """Return whether a claimant is alive; None until known.
 
-        ``key`` is its line; a ``claim`` of 0 is nobody, and not alive. It lives if ``beat`` or ``count``
-        (head or taken) moves within the period that ``beat_ms`` promises; ``now_ns`` is of a monotonic clock.
+        ``key`` is its line; a ``claim`` of 0 means no claimant. It is alive if ``beat`` or ``count`` (head or
+        taken) changes within the period promised by ``beat_ms``; ``now_ns`` is monotonic.
         """
         if not claim:
             self._known.pop(key, None)
@@ -53,7 +53,7 @@ class Peers:
         return alive or (None if now_ns < known.until_ns else False)
 
     def seen(self, key: int) -> bool:
-        """Return whether the claimant of a line was seen alive, at some time since it claimed."""
+        """Return whether the claimant of a line was seen alive at any time since its claim."""
         return key in self._known and self._known[key].seen
 
 
@@ -64,17 +64,17 @@ _MISSED = 2
 
 
 class Rate:
-    """Messages per second, from looks at the number of messages.
+    """Messages per second, computed from the number of messages at each look.
 
-    It counts over the last two seconds, and over up to half a minute where fewer than three messages came
-    in them, so that one message a second reads as 1 and not as 0 and 2 in turn.
+    It covers the last two seconds, or up to half a minute if fewer than three messages arrived in them, so
+    that one message per second is shown as 1, and not alternately as 0 and 2.
     """
 
     def __init__(self) -> None:
         self._changes: deque[tuple[int, int]] = deque()
 
     def of(self, count: int, now_ns: int) -> float | None:
-        """Note the messages so far, at a monotonic ``now_ns``; return the rate in Hz, None until known."""
+        """Note the number of messages at a monotonic ``now_ns``; return the rate in Hz, None until known."""
         changes = self._changes
         if not changes or changes[-1][1] != count:
             changes.append((now_ns, count))
@@ -101,9 +101,9 @@ _START_TIME = 19  # index of the start among the fields behind the name, in tick
 
 
 def is_starting(pid: int, proc: Path = Path("/proc"), *, now_s: float | None = None) -> bool:
-    """Return whether a bridge that was not seen to beat is so young that it may not have begun to.
+    """Return whether a bridge without a heartbeat is so young that it may not have sent one yet.
 
-    ``now_s`` is in seconds since the machine's start; None asks the clock.
+    ``now_s`` is in seconds since the machine's start; None uses the clock.
     """
     if not pid or process_words(pid, proc) != _THERE:
         return False
@@ -117,7 +117,7 @@ def is_starting(pid: int, proc: Path = Path("/proc"), *, now_s: float | None = N
 
 
 def process_words(pid: int, proc: Path = Path("/proc")) -> str:
-    """Return the state of a process that should be a bridge's and does not beat; empty if it is not known."""
+    """Return the state of the process of a bridge without a heartbeat, as text; empty if unknown."""
     folder = proc / str(pid)
     try:
         # The name in parentheses may hold anything, parentheses too.
@@ -141,14 +141,14 @@ _YEARS_NS = 10 * 365 * 86400 * 10**9
 
 
 class Recently:
-    """Whether a counter has grown within the last ten seconds of looking."""
+    """Whether a counter has grown within the last ten seconds."""
 
     def __init__(self, count: int) -> None:
         self._count = count
         self._grown_ns: int | None = None
 
     def of(self, count: int, now_ns: int) -> bool:
-        """Note the counter; return whether it grew lately."""
+        """Note the counter; return whether it grew recently."""
         if count > self._count:
             self._grown_ns = now_ns
         self._count = count
@@ -156,9 +156,9 @@ class Recently:
 
 
 class Tracked:
-    """An attached object, mapped read-only, and what is remembered of it.
+    """An attached object, mapped read-only, and its remembered data.
 
-    Raises ChannelError SHM113 if the self-description cannot be read, or is of another object.
+    Raises ChannelError SHM113 if the self-description cannot be read, or belongs to another object.
     """
 
     def __init__(self, namespace: Namespace, name: str, attached: Attached, now_ns: int) -> None:
@@ -168,7 +168,7 @@ class Tracked:
         except ChannelError:
             stands_right = False
         if not stands_right:
-            what = f"its self-description is for {description.topic[:80]!r}, whose object has another name"
+            what = f"the self-description is for {description.topic[:80]!r}, whose object has another name"
             raise channel_error(113, what, attached.path)
         self.name = name
         self.prefix = namespace.prefix
@@ -194,9 +194,9 @@ class Tracked:
         self.attached.close()
 
     def look(self, expectation: Expectation, now_ns: int, wall_ns: int) -> ChannelView:
-        """Return the channel's state; ``now_ns`` is of a monotonic clock, ``wall_ns`` in ns since 1970 UTC.
+        """Return the channel's state; ``now_ns`` is monotonic, ``wall_ns`` in ns since 1970 UTC.
 
-        Raises ChannelError SHM111 or SHM112: the name must be opened again.
+        Raises ChannelError SHM111 or SHM112 if the name must be opened again.
         """
         self.attached.valid()
         identity, snapshot = self.attached.identity, Snapshot.of(self.attached.region, free=False)
@@ -289,7 +289,7 @@ class Tracked:
         return max(now_ns - self._since_ns, _past(wall_ns, self._stamp(head)))
 
     def _stamp(self, head: int) -> int:
-        """Return the newest message's stamp by the system's clock; 0 if it has none."""
+        """Return the newest message's stamp by the system clock; 0 if it has none."""
         identity, region = self.attached.identity, self.attached.region
         slot = identity.slots_offset + head % identity.slot_count * identity.slot_stride
         words = region.words(slot, SLOT_HEADER["checksum"] // 4)
@@ -303,19 +303,19 @@ class Tracked:
         )
 
     def _acting(self, readers: tuple[ReaderView, ...]) -> list[ReaderView]:
-        """Return the readers that are the other side, and no observers."""
+        """Return the readers that belong to the other side, without observers."""
         every = self._to_plc and self._calls is None
         return [reader for reader in readers if every or reader.index == 0]
 
 
 def _peers(own: WriterState | ReaderState | None) -> int | None:
-    """Return how many peers in ROS the bridge's line counts; None if it does not."""
+    """Return the number of ROS peers in the bridge's line; None if it does not count them."""
     count = UNKNOWN if own is None else own.sources if isinstance(own, WriterState) else own.sinks
     return None if count == UNKNOWN else count
 
 
 def any_alive(alive: Iterable[bool | None]) -> bool | None:
-    """Return whether one of several lives; None if that is not known of all, and no known one does."""
+    """Return whether any of several is alive; None if none is known to be alive and some are unknown."""
     known = list(alive)
     return True if True in known else None if None in known else False
 
@@ -325,6 +325,6 @@ def _most_lost(snapshot: Snapshot) -> int:
 
 
 def _past(wall_ns: int, then_ns: int) -> int:
-    """Return how long ago a time of another's clock was; 0 if that cannot be believed."""
+    """Return how long ago a time on another clock was; 0 if it is implausible."""
     ago = wall_ns - then_ns
     return ago if then_ns and 0 < ago < _YEARS_NS else 0

@@ -1,8 +1,8 @@
-"""Looking again and again at every channel of the machine, without touching any.
+"""Repeated looks at all channels of the machine, without side effects.
 
-A look lists the directory, reads the control words of each object, and compares with what it saw before.
-Objects that appear, vanish, are replaced or are damaged are ordinary, and never an error. Nothing is claimed
-or written: an observer uses no reader line, and maps objects read-only.
+A look lists the directory, reads the control words of each object, and compares them with the previous look.
+Objects may appear, vanish, be replaced or be damaged; this is never an error. Nothing is claimed or written:
+an observer uses no reader line and maps objects read-only.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from rosplc.shm.names import file_name
 MAX_CHANNELS = 4096  # more objects than this are not looked at, and a note says so
 
 MAX_RECORD = 256 * 1024 * 1024
-"""Bytes of a record above which its message is not decoded: a view is not worth that much memory."""
+"""Record size in bytes above which messages are not decoded, to save memory."""
 
 _RETRY_NS = 1_000_000_000
 
 
 class _File(NamedTuple):
-    """What the directory says of an object."""
+    """The directory entry of an object."""
 
     name: str
     prefix: str
@@ -60,10 +60,10 @@ class _Broken(NamedTuple):
 class Watch:
     """Looks at the channels of this machine; a context manager. For one thread at a time.
 
-    It looks at one prefix, or several, None for all; at one ``topic``, service or action, None for all; with
-    ``calls`` at the objects of services and actions, too. ``expected`` is what configurations expect of
-    topics, else the defaults hold; ages, rates and signs of life are judged by ``clock``. ``prefixes`` has
-    what was asked for, and is empty for all. Raises ChannelError SHM118 if the prefix is not valid.
+    It looks at one prefix or several, None for all; at one ``topic``, service or action, None for all; with
+    ``calls`` also at the objects of services and actions. ``expected`` has the expectations of
+    configurations; otherwise, defaults apply. Ages, rates and signs of life are judged by ``clock``.
+    ``prefixes`` has the requested ones, empty for all. Raises ChannelError SHM118 if the prefix is not valid.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Watch:
         self._tracked.clear()
 
     def look(self) -> Picture:
-        """Look at every channel once; one to ten times a second is sensible.
+        """Look at every channel once; call this one to ten times per second.
 
         Rates and signs of life are unknown in the first picture. Raises ChannelError SHM123 if the directory
         cannot be listed.
@@ -127,11 +127,11 @@ class Watch:
         return self._picture(tuple(views), wall, notes)
 
     def message(self, channel: ChannelView | str, elements: int | None = None) -> Message | None:
-        """Return a channel's newest message, or that of an id; None if there is none yet.
+        """Return the newest message of a channel or channel id; None if there is none yet.
 
-        At most ``elements`` of each array are decoded; a longer one becomes an
-        :class:`rosplc.layout.view.Excerpt` (None: all). Raises ChannelError SHM101 if it is gone, SHM113 if
-        its type cannot be rebuilt, or what keeps it from being read.
+        At most ``elements`` of each array are decoded; a longer array becomes an
+        :class:`rosplc.layout.view.Excerpt` (None: all). Raises ChannelError SHM101 if the channel is gone,
+        SHM113 if its type cannot be rebuilt, or the error that prevents reading it.
         """
         identifier = channel if isinstance(channel, str) else channel.id
         classic = next((each for each in self._classic if each.id == identifier), None)
@@ -153,7 +153,7 @@ class Watch:
         return None if found is None else message_of(identifier, layout, *found, elements, tracked.part)
 
     def _wanted(self, prefix: str, topic: str | None = None, *, name: str = "") -> bool:
-        """Return whether a topic, or the object of a name, is to be looked at."""
+        """Return whether a topic, or the object with a name, is to be monitored."""
         if not self._all and prefix not in self._names:
             return False
         if self._topic is None:
@@ -163,7 +163,7 @@ class Watch:
         return topic == self._topic or name in names or (namespace.name_of(name) or ("",))[0] == self._topic
 
     def _sound(self, attached: Attached) -> bool:
-        """Return whether the name still leads to the object, and the object still has its size."""
+        """Return whether the name still refers to the object, and the object still has its size."""
         try:
             size = os.stat(attached.path, follow_symlinks=False).st_size  # noqa: PTH116
         except OSError:
@@ -190,7 +190,7 @@ class Watch:
                         continue  # gone in between
                     found[entry.name] = _File(entry.name, named.prefix, status.st_ino, status.st_size)
         except OSError as error:
-            raise channel_error(123, f"cannot list: {error.strerror}", self._directory) from error
+            raise channel_error(123, f"cannot list files: {error.strerror}", self._directory) from error
         return found, ((f"{more} more objects were not examined",) if more else ())
 
     def _view(self, file: _File, now: int, wall: int) -> ChannelView:
@@ -259,7 +259,7 @@ class Watch:
                 prefix=prefix,
                 topic=topic,
                 state=State.MISSING,
-                words="it is configured but has no object: its bridge is not running",
+                words="the channel is configured but has no object: its bridge is not running",
                 code="SHM101",
                 configured=True,
                 kind=part.kind,
@@ -291,9 +291,9 @@ class Watch:
 
 
 def _known_life(before: dict[str, ChannelView] | None, view: ChannelView) -> ChannelView:
-    """Return a view in which the PLC is as it was known last, where that cannot be known yet.
+    """Return a view with the last known state of the PLC if the state is not known yet.
 
-    A PLC that comes back has another claim, whose beat was not seen yet: dead, unknown, alive is one return.
+    A returning PLC has a new claim without an observed heartbeat: dead, unknown, alive is one return.
     """
     earlier = before.get(view.id) if before and view.plc_alive is None else None
     return view if earlier is None else replace(view, plc_alive=earlier.plc_alive)
@@ -331,7 +331,7 @@ _SHARED = (
 
 @dataclass(frozen=True, slots=True)
 class ObjectState:
-    """One object as it stands."""
+    """The state of one object."""
 
     prefix: str  # the bridge's prefix
     topic: str  # as ROS writes it, a service or action likewise; the object's name where that cannot be known
@@ -366,11 +366,11 @@ def find_objects(
     calls: bool = False,
     clock: Clock = SYSTEM,
 ) -> list[ObjectState]:
-    """Look at every topic's object of this machine; return one state each, sorted by prefix and topic.
+    """Return the state of every topic's object on this machine, sorted by prefix and topic.
 
-    ``seconds`` is how long to watch beats (bridges beat every 0.1 s by default); ``calls``: look at the
-    objects of services and actions, too. Objects that cannot be read have their error. Raises ChannelError
-    SHM118 if the prefix is not valid, SHM123 if the directory cannot be listed.
+    ``seconds`` is how long to observe heartbeats (a bridge's default period is 0.1 s); ``calls``: include the
+    objects of services and actions. Objects that cannot be read have an error. Raises ChannelError SHM118 if
+    the prefix is not valid, SHM123 if the directory cannot be listed.
     """
     with Watch(prefix, directory=directory, calls=calls, clock=clock) as watch:
         picture = watch.look()

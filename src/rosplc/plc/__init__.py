@@ -1,3 +1,3 @@
-"""The PLC half, written from a layout: constants, types and code that a technician imports."""
+"""The PLC part, generated from layouts: constants, types and code to import into a PLC project."""
 
 __all__: list[str] = []

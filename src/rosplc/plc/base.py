@@ -1,7 +1,7 @@
 """Structured Text templates: rendered by jinja2, and read into the project model.
 
-PLCopenXML needs declarations one by one, so the reader understands exactly the form that the templates keep
-to (one declaration a line, comments after ``//``) and fails on anything else: nothing is lost silently.
+PLCopenXML needs individual declarations, so the reader accepts only the form used by the templates (one
+declaration per line, comments after ``//``) and fails on anything else: nothing is lost silently.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ OWN_NAMES = {
     "pose": ("RosPlc_Pose", "RosPlc_TransformError"),
     "time": ("RosPlc_Time",),
 }
-"""The objects of each topic of the bridge's own; the first is its instance's."""
+"""The objects for each of the bridge's own topics; the first is the type of its instance."""
 _OF_BRIDGES = (
     "DESCRIPTION", "OTHER_BRIDGE", "OTHER_USER", "REPLACED", "NOT_PLAIN_FILE", "READ_ONLY", "DIRECTORY",
     "MEMORY_SIZE", "LOCK_FREED", "SEMAPHORE_COUNT", "SEMAPHORE_WORD_SIZE",
 )  # fmt: skip
-"""Errors that no block of the PLC reports."""
+"""Errors that no PLC block reports."""
 _COMMON = {
     "constants": {
         **{name: value for name, value in vars(constants).items() if isinstance(value, int)},
@@ -79,7 +79,7 @@ def render(template: str, **values: Any) -> str:
 
 
 def base_objects(folder: str) -> tuple[project.Item, ...]:
-    """Return the objects that every project has, in the order in which they depend on each other."""
+    """Return the objects that every project has, in order of dependency."""
     return read_objects("base", _BASE, folder)
 
 
@@ -89,7 +89,7 @@ def classic_objects(folder: str) -> tuple[project.Item, ...]:
 
 
 def call_objects(folder: str, *, actions: bool) -> tuple[project.Item, ...]:
-    """Return the objects that the blocks of services, and of actions, extend."""
+    """Return the objects that the blocks of services and, with ``actions``, of actions extend."""
     return read_objects("calls", CALL_NAMES + ACTION_NAMES * actions, folder)
 
 
@@ -101,7 +101,7 @@ def read_objects(
 
 
 def parse_object(text: str, name: str, folder: str = "") -> project.Item:
-    """Return the object of a text; ValueError if it is not of the form that the templates keep to."""
+    """Parse the text of an object; ValueError if it does not have the form used by the templates."""
     comment, attributes, rest = _preamble([line.rstrip() for line in text.rstrip().splitlines()])
     if rest[0] == f"TYPE {name} :" and rest[-1] == "END_TYPE":
         if (rest[1], rest[-2]) == ("STRUCT", "END_STRUCT"):
@@ -173,7 +173,7 @@ def _pou(
     extends = words[2] if words[1:2] == ["EXTENDS"] else None
     returns = words[2] if words[1:2] == [":"] else None
     if words[:1] != [name] or len(words) != (3 if extends or returns else 1) or f"END_{kind}" not in lines:
-        raise ValueError(f"{name}: not the head of an object: {lines[0]!r}")
+        raise ValueError(f"{name}: not a valid object header: {lines[0]!r}")
     end = lines.index(f"END_{kind}")
     blocks, body = _blocks(lines[1:end], name)
     return project.Pou(
@@ -197,7 +197,7 @@ def _methods(lines: list[str], where: str) -> Iterable[project.Method]:
         head, _, returns = rest[0].partition(" : ")
         words = head.split()
         if words[:1] != ["METHOD"] or len(words) != 3:
-            raise ValueError(f"{where}: not the head of a method: {rest[0]!r}")
+            raise ValueError(f"{where}: not a valid method header: {rest[0]!r}")
         end = rest.index("END_METHOD")
         blocks, body = _blocks(rest[1:end], f"{where}.{words[2]}")
         access = cast(Literal["PUBLIC", "PRIVATE", "PROTECTED"], words[1])
@@ -224,7 +224,7 @@ HELPER_NAMES = (*_GENERAL, *_TIMES, *_DURATIONS, *_ANGLES)
 
 
 def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[project.Item, ...]:
-    """Return the helpers whose message types ``store`` has, and have ``builder`` build these types."""
+    """Return the helpers whose message types are in ``store``; ``builder`` builds these types."""
     names: list[str] = list(_GENERAL)
     for type_name, helpers in _HELPERS.items():
         if type_name in store:

@@ -1,8 +1,8 @@
-"""The Read and the Write function block of a message type, on a channel or on classic memory.
+"""The Read and Write function blocks of a message type, on a channel or on classic memory.
 
-All extend base blocks (``templates/base`` and ``templates/classic``), which open, check, watch and count.
-``templates/blocks`` holds what needs the type: the copy between memory and DUT, and the checks that make
-a record safe to use (counts within their arrays, strings with an end).
+All blocks extend base blocks (``templates/base`` and ``templates/classic``), which open, check, monitor and
+count. ``templates/blocks`` contains the type-specific parts: the copy between memory and DUT, and the checks
+that make a record safe to use (counts within their arrays, terminated strings).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class _Pin:
 
 @dataclass(frozen=True)
 class _Step:
-    """A check of the record in ``stShadow``."""
+    """A check on the record in ``stShadow``."""
 
     # ``"count"``: keep ``path`` at most ``limit``; ``"string"``: end it after ``limit`` characters;
     # ``"loop"``: the steps ``inner`` for ``path`` from 0 to ``limit``
@@ -51,8 +51,8 @@ def block(
 ) -> Pou:
     """Return a ``Read``, ``Write``, ``ClassicRead`` or ``ClassicWrite`` block of a message type.
 
-    ``builder`` has built, or builds, the DUTs; ``pins`` adds a pin for each top-level field, for Ladder and
-    Function Block Diagram; ``part`` is for a message that is a part of a service or action.
+    ``builder`` builds the DUTs if needed; ``pins`` adds a pin for each top-level field, for Ladder and
+    Function Block Diagram; ``part`` is for a message that is part of a service or action.
     """
     low, high = layout.layout_id_words
     steps = tuple(_mend(layout.root, "stShadow", builder, 0))
@@ -77,7 +77,7 @@ def block(
 def call_block(
     role: str, type_name: str, parts: Mapping[str, tuple[str, str]], name: str, folder: str
 ) -> Pou:
-    """Return a service's or action's block; ``role`` is as "Client", ``parts`` has DUT and block of each."""
+    """Return a service's or action's block; ``role``: such as "Client"; ``parts``: DUT and block of each."""
     named = {part: {"dut": dut, "block": inner} for part, (dut, inner) in parts.items()}
     found = parse_object(render(f"blocks/{role}.st", type_name=type_name, name=name, **named), name, folder)
     assert isinstance(found, Pou)
@@ -85,7 +85,7 @@ def call_block(
 
 
 def _pins(layout: Layout, builder: DutBuilder) -> list[_Pin]:
-    """Return a pin for each top-level field; counts are fields too."""
+    """Return a pin for each top-level field, including counts."""
     names = builder.struct(layout.root)
     types = builder.members(layout)
     scope = Scope()  # nothing in the base blocks begins with pin_
@@ -97,7 +97,7 @@ def _pins(layout: Layout, builder: DutBuilder) -> list[_Pin]:
 
 
 def _mend(node: Node, path: str, builder: DutBuilder, depth: int) -> Iterator[_Step]:
-    """Yield the steps that clamp counts and end strings, so that a faulty writer stays harmless."""
+    """Yield the steps that clamp counts and terminate strings, so that a faulty writer does no harm."""
     if isinstance(node, StringNode):
         yield _Step("string", path, node.capacity)
     elif isinstance(node, StructNode):

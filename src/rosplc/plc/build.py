@@ -1,6 +1,6 @@
-"""From topics, or a configuration, to a PLC project: everything the technician finds after the import.
+"""Builds a PLC project from topics or a configuration: everything that the import creates.
 
-The output's order depends on names alone, so that the same input gives the same bytes again.
+The order of the output depends only on names, so the same input always gives the same bytes.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from rosplc.shm import Direction, Part
 
 READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"  # the lists that hold the instances
 SERVICE_GVL, ACTION_GVL = "ROS_Services", "ROS_Actions"
-"""The lists that hold the instances of services and actions."""
+"""The lists of the instances of services and actions."""
 SAFE_GVL = "ROS_Safe"  # the list that holds what a message becomes when its source is silent
 PARAMETER_GVL, _PARAMETER_BLOCK = "ROS_Parameters", "RosPlc_Parameters"
 _PROGRAMS = {"read": "Receives from ROS; call it first", "write": "Sends to ROS; call it last"}
@@ -59,7 +59,7 @@ _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 
 
 def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
-    """Return the call of a topic's instance, as configured; ``cycle_ns`` is 0 if the task has no interval."""
+    """Return the configured call of a topic's instance; ``cycle_ns`` is 0 if the task has no interval."""
     gvl = READ_GVL if topic.direction == "read" else WRITE_GVL
     arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
     if topic.classic is not None:
@@ -71,7 +71,7 @@ def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
 
 
 def read_arguments(topic: PlcTopic, safe: str = "") -> Iterator[str]:
-    """Yield what a Read block is called with; ``safe`` is the variable of the safe value, if there is one."""
+    """Yield the arguments of a Read block's call; ``safe`` is the variable of the safe value, if any."""
     if topic.direction == "read":
         if topic.stale_after_ns:
             yield f"tStaleAfter := {time_literal(topic.stale_after_ns)}"
@@ -88,7 +88,7 @@ def read_arguments(topic: PlcTopic, safe: str = "") -> Iterator[str]:
 def programs_of(
     tasks: Sequence[PlcTask], calls: dict[tuple[str, str], list[str]], options: ProjectOptions, scope: Scope
 ) -> tuple[list[Pou], tuple[Task, ...]]:
-    """Return a reading and a writing program per task that has topics, and the tasks."""
+    """Return the tasks, and a reading and a writing program for each task with topics."""
     programs: list[Pou] = []
     found: list[Task] = []
     used = {task for _, task in calls}
@@ -123,12 +123,12 @@ After you change them, download the program: an online change may keep the previ
 
 
 def call_role(call: CallPlan) -> str:
-    """Return what the PLC is: Client, Server, ActionClient or ActionServer."""
+    """Return the role of the PLC: Client, Server, ActionClient or ActionServer."""
     return ("Action" if call.kind == "action" else "") + ("Server" if call.server == "plc" else "Client")
 
 
 def call_name(call: CallPlan, duts: Sequence[str]) -> str:
-    """Return what the block is called, unless the name is taken; ``duts`` are those of its parts."""
+    """Return the preferred name of the block; ``duts`` are the DUTs of its parts."""
     key = call_role(call), *call.layouts
     plain = list(duts) == [type_prefix(layout.type_name) for layout in call.layouts]
     own = "" if plain else "_" + hashlib.sha256(repr(key).encode()).hexdigest()[:6]
@@ -137,7 +137,7 @@ def call_name(call: CallPlan, duts: Sequence[str]) -> str:
 
 @dataclass
 class _Blocks:
-    """The function blocks of the types in use, each built once."""
+    """The function blocks of all types in use, each built once."""
 
     builder: DutBuilder
     options: ProjectOptions
@@ -155,7 +155,7 @@ class _Blocks:
         return self._known[key]
 
     def of_call(self, call: CallPlan) -> str:
-        """Return the block of a service or action, and build it and those of its parts if need be."""
+        """Return the block of a service or action; build it and those of its parts if needed."""
         role = call_role(call)
         key: tuple[str | Layout, ...] = (role, *call.layouts)
         if key not in self._calls:
@@ -187,10 +187,10 @@ def build_project(
 ) -> PlcProject:
     """Return the project for a set of topics, services and actions, each given once.
 
-    ``tasks`` has every task that a topic names, at most 16; ``layouts`` get both blocks, whether or not a
-    topic has them. Raises GenerationError PLC003 if there are more tasks than the blocks serve, PLC005 if two
-    tasks have names that are one to CODESYS, PLC006 if a topic's name is longer than the blocks take, PLC007
-    if a classic topic's memory or semaphore has an invalid name, PLC008 if a topic, task or prefix has one.
+    ``tasks`` has every task that a topic uses, at most 16; ``layouts`` get both blocks, whether or not a
+    topic uses them. Raises GenerationError PLC003 if there are more tasks than the blocks support, PLC005 if
+    two task names are equal for CODESYS, PLC006 if a topic's name is too long for the blocks, PLC007 if a
+    classic topic's memory or semaphore has an invalid name, PLC008 if a topic, task or prefix has one.
     """
     options = options or ProjectOptions()
     _check_name(_PREFIX, options.prefix, "prefix")
@@ -288,7 +288,7 @@ def _uses(
     indices: dict[str, int],
     lines: dict[tuple[str, str], list[str]],
 ) -> list[Variable]:
-    """Return the instances of a list, and add their calls to the lines of the reading programs."""
+    """Return the instances of a list, and add their calls to the reading programs."""
     found = []
     for (key, use), name in use_names(gvl, calls):
         wanted = plain_name(key).replace("-", "_")
@@ -297,14 +297,14 @@ def _uses(
         arguments = [("sName", string_literal(use.called))]
         if client:
             arguments.append(("sClient", string_literal(use.client)))
-        comment = f"{use.type_name} in task {use.task}, the PLC is the {'client' if client else 'server'}"
+        comment = f"{use.type_name} in task {use.task}; the PLC is the {'client' if client else 'server'}"
         found.append(Variable(name, blocks.of_call(use), None, comment, tuple(arguments)))
         lines.setdefault(("read", use.task), []).append(f"{gvl}.{name}(uiTask := {indices[use.task]});")
     return found
 
 
 def use_names(gvl: str, calls: Sequence[CallPlan]) -> list[tuple[tuple[str, CallPlan], str]]:
-    """Return what a list of instances holds, as the objects are named: key, use, and the instance's name."""
+    """Return the content of a list of instances, in the order of object names: key, use, instance name."""
     some = [use for use in calls if (use.kind == "action") == (gvl == ACTION_GVL)]
     uses = {f"{use.called}-{use.client}".rstrip("-"): use for use in some}
     names = instance_names(list(uses))
@@ -346,7 +346,7 @@ def _check_ros_name(name: str, where: str) -> None:
 
 
 def _check_name(pattern: re.Pattern[str], name: str, where: str) -> None:
-    """Refuse what is no name before it gets into comments and literals."""
+    """Refuse an invalid name before it is used in comments and literals."""
     if not pattern.match(name):
         raise GenerationError("PLC008", f"{name[:80]!r} is not a valid name", where=where)
 
@@ -362,13 +362,13 @@ def _settings(options: ProjectOptions, tasks: Sequence[PlcTask]) -> Gvl:
 
 
 def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder) -> list[Variable]:
-    """Return the constants that topics fall back to."""
+    """Return the constants with the safe values of topics."""
     return [
         Variable(
             names[topic.topic],
             builder.add(topic.layout),
             initial_value(topic.layout.root, topic.safe, builder),
-            f"{topic.topic}, silent for {time_literal(topic.stale_after_ns)}",
+            f"for {topic.topic} after {time_literal(topic.stale_after_ns)} of silence",
         )
         for topic in topics
         if topic.direction == "read" and topic.on_stale == "value" and topic.safe is not None
@@ -378,7 +378,7 @@ def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder
 def _parameters(
     plan: ParametersPlan, names: Mapping[str, Mapping[str, str]], builder: DutBuilder, options: ProjectOptions
 ) -> tuple[Pou, list[Variable]]:
-    """Return the block of the parameters, and the variables of their list."""
+    """Return the block for the parameters, and the variables of their list."""
     builder.add(plan.layout)
     values = next(member.node for member in plan.layout.root.members if member.name == "values")
     assert isinstance(values, StructNode)
@@ -400,7 +400,7 @@ def _parameters(
 
 
 def _what(topic: PlcTopic) -> str:
-    """Say in a line what an instance carries."""
+    """Describe an instance in one line."""
     which = ""
     if topic.classic is not None:
         which = ", classic"
@@ -419,7 +419,7 @@ def _notes(
             if half < wait:
                 notes.append(
                     f"{topic.topic}: the wait for its lock is reduced from {wait} ms to {half} ms, "
-                    f"half of the interval of task {topic.task}"
+                    f"half the interval of task {topic.task}"
                 )
         if topic.layout.size > _LARGE_DUT:
             copies = (4 if topic.classic else 3) if topic.direction == "read" else 1
@@ -436,7 +436,7 @@ def _notes(
 
 
 def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
-    """Return the PLC project of a configuration; PLC003 if more tasks are used than the blocks serve."""
+    """Return the PLC project of a configuration; PLC003 if it uses more tasks than the blocks support."""
     topics, tasks = plc_topics(project), plc_tasks(project)
     settings = project.config.settings
     options = replace(options, prefix=settings.prefix)
@@ -446,7 +446,7 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
 
 
 def plc_topics(project: Project) -> list[PlcTopic]:
-    """Return a configuration's topics as the PLC sees them."""
+    """Return a configuration's topics as seen by the PLC."""
     return [
         PlcTopic(
             topic=plan.topic,

@@ -1,11 +1,11 @@
-"""Write a project's files, and never overwrite what somebody has edited.
+"""Writes a project's files without overwriting edited files.
 
-A folder that was generated holds a manifest with the hash of every file as it was written. A
-file that differs from its hash was edited: it is kept, and the generation is refused, until
-it is removed or the writing is forced. Files that are no longer generated are removed.
+A generated folder contains a manifest with the hash of every file as it was written. A file
+that differs from its hash was edited: it is kept, and the generation is refused until the
+file is removed or overwriting is forced. Files that are no longer generated are removed.
 
-The script (IronPython 2.7, so plain ASCII Python 2.7) that builds the project in the CODESYS IDE is a
-hand-written program, ``templates/import_script.py.txt``, with the project's objects as literals.
+The script that builds the project in the CODESYS IDE (IronPython 2.7, so plain ASCII Python 2.7) is the
+hand-written program ``templates/import_script.py.txt``, followed by the project's objects as literals.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _object(item: Item) -> list[str]:
 
 
 def _long(indent: str, key: str, text: str) -> list[str]:
-    """Return ``'key': (…),`` with one literal a line, so that a diff of two scripts can be read."""
+    """Return ``'key': (…),`` with one literal per line, so that a diff of two scripts is readable."""
     if not text:
         return [f"{indent}'{key}': '',"]
     parts = [f"{indent}    {_text(line)}" for line in text.splitlines(keepends=True)]
@@ -108,7 +108,7 @@ def _long(indent: str, key: str, text: str) -> list[str]:
 
 
 def _text(text: str) -> str:
-    """Return a literal that Python 2.7 and 3 read alike; what is not ASCII is escaped."""
+    """Return a literal that is the same in Python 2.7 and 3; non-ASCII characters are escaped."""
     escaped = ascii(text)
     return f"u{escaped}" if "\\u" in escaped or "\\x" in escaped or "\\U" in escaped else escaped
 
@@ -120,13 +120,13 @@ _LONGEST_STEM = 120  # with the folders still within the 260 characters of a pat
 
 @dataclass(frozen=True)
 class Delivery:
-    """What a writing did, as paths relative to the folder.
+    """The result of writing, as paths relative to the folder.
 
     Attributes:
         written: New or changed files.
-        unchanged: Files that were already as they should be.
-        removed: Files of a former generation that are no longer generated.
-        notes: What the generator has to tell about the project.
+        unchanged: Files that already had the right content.
+        removed: Files of an earlier generation that are no longer generated.
+        notes: The generator's notes on the project.
     """
 
     written: tuple[str, ...]
@@ -136,7 +136,7 @@ class Delivery:
 
 
 def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict[str, bytes]:
-    """Return path below the output folder → file; ``layouts`` are the C header's, ``name`` is the stem."""
+    """Return path below the output folder → file; ``layouts`` are for the C header, ``name`` is the stem."""
     result = {
         f"st/{_folder(item.folder, project.name)}{_stem(item.name)}.st": object_text(item).encode("ascii")
         for item in project.items
@@ -162,10 +162,10 @@ def _template(name: str) -> str:
 
 
 def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -> Delivery:
-    """Write files, path below ``folder`` → content; ``force`` overwrites and removes what was edited, too.
+    """Write files, path below ``folder`` → content; ``force`` also overwrites and removes edited files.
 
-    The folder is created where it is missing. Raises GenerationError PLC001 if a file was edited since it was
-    generated, or was there before; PLC002 if the folder cannot be written.
+    The folder is created if it is missing. Raises GenerationError PLC001 if a file was edited since it was
+    generated, or was not generated; PLC002 if the folder cannot be written.
     """
     try:
         known = _manifest(folder, force=force)
@@ -199,7 +199,7 @@ def _write(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> Deli
                 target.parent.rmdir()
     hashes = {path: hashlib.sha256(content).hexdigest() for path, content in sorted(files.items())}
     text = json.dumps(
-        {"comment": "Hashes of generated files; rosplc generate keeps edited ones.", "files": hashes}
+        {"comment": "Hashes of generated files; rosplc generate keeps edited files.", "files": hashes}
     )
     manifest = folder / MANIFEST
     if not manifest.is_file() or manifest.read_bytes() != text.encode():
@@ -223,7 +223,7 @@ def _manifest(folder: Path, *, force: bool) -> dict[str, str]:
 
 
 def _is_below(folder: Path, path: str) -> bool:
-    """Whether a path names a file below the folder: the manifest is a file that anybody may have edited."""
+    """Return whether a path refers to a file below the folder: the manifest may have been edited."""
     if "\0" in path or Path(path).is_absolute() or ".." in Path(path).parts:
         return False
     top = folder.resolve()
@@ -231,13 +231,13 @@ def _is_below(folder: Path, path: str) -> bool:
 
 
 def _links(folder: Path, path: str) -> list[Path]:
-    """Return the symbolic links on the way from the folder to a file: writing would follow them."""
+    """Return the symbolic links in the path from the folder to a file: writing would follow them."""
     steps = [folder / path, *(folder / parent for parent in Path(path).parents if parent.name)]
     return [step for step in steps if step.is_symlink()]
 
 
 def _edited(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> list[str]:
-    """Return files with neither the old generation's nor the new one's content, and links in their place."""
+    """Return files with neither the old nor the new generated content, and links in place of files."""
     result = []
     for path in sorted({*files, *known}):
         target = folder / path
@@ -253,7 +253,7 @@ def _edited(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> lis
 
 
 def _stem(name: str) -> str:
-    """Return a file name for an identifier: those may be longer than a file system allows (255 bytes)."""
+    """Return a file name for an identifier, which may exceed the file system's limit (255 bytes)."""
     if len(name) <= _LONGEST_STEM:
         return name
     return f"{name[: _LONGEST_STEM - 9]}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"

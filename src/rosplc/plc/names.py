@@ -1,7 +1,7 @@
 """Identifiers and literals that every Structured Text compiler accepts.
 
-IEC 61131-3 identifiers are letters, digits and single underscores, not ending with one; case is ignored. A
-name that is a keyword, or collides within its scope, is renamed by a fixed rule and listed in the output.
+IEC 61131-3 identifiers consist of letters, digits and single underscores, not at the end; case is ignored.
+A name that is a keyword or collides within its scope is renamed by a fixed rule and listed in the output.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _reserved() -> frozenset[str]:
 
 
 def is_reserved(name: str) -> bool:
-    """Return whether a compiler may take the name for something of its own."""
+    """Return whether the name may be reserved by a compiler."""
     upper = name.upper()
     return upper in _reserved() or bool(_CONVERSION.match(upper))
 
@@ -45,13 +45,13 @@ def legal(name: str) -> str:
 
 
 def type_prefix(type_name: str) -> str:
-    """Return the name that everything about a type starts with: ``geometry_msgs_Twist``."""
+    """Return the prefix of all names for a type: ``geometry_msgs_Twist``."""
     package, _, name = type_name.partition("/")
     return legal(f"{package}_{name.rpartition('/')[2]}")
 
 
 class Scope:
-    """Names of one scope, ``taken`` ones included: hands out each only once, whatever the case."""
+    """The names of one scope, including ``taken``; each is given only once, ignoring case."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = {name.upper() for name in taken}
@@ -59,13 +59,13 @@ class Scope:
         self.renamed: list[tuple[str, str]] = []
 
     def give_all(self, wanted: Sequence[str]) -> tuple[str, ...]:
-        """Return a name for each; names that are legal as they are get theirs before those that change."""
+        """Return a name for each; names that are already legal are given first."""
         order = sorted(range(len(wanted)), key=lambda index: legal(wanted[index]) != wanted[index])
         given = {index: self.give(wanted[index]) for index in order}
         return tuple(given[index] for index in range(len(wanted)))
 
     def give(self, wanted: str) -> str:
-        """Return a free legal name as near to ``wanted`` as possible."""
+        """Return a free legal name as close to ``wanted`` as possible."""
         base = legal(wanted)
         name, number = base, 2
         while name.upper() in self._taken:
@@ -78,15 +78,15 @@ class Scope:
 
 
 def plain_name(topic: str) -> str:
-    """Return what a topic's instance is called if nothing speaks against it: ``robot1_pose``."""
+    """Return the preferred name of a topic's instance: ``robot1_pose``."""
     return topic.strip("/").replace("/", "_")
 
 
 def instance_names(topics: Sequence[str]) -> dict[str, str]:
     """Return the instance name of each topic of a variable list.
 
-    Where topics would share a name, every one of them gets a suffix from its topic, so that one
-    more topic makes programs fail to compile, but never makes a name stand for another topic.
+    If topics would share a name, each of them gets a suffix derived from its topic: a new topic may
+    make programs fail to compile, but a name never refers to another topic.
     """
     count = Counter(legal(plain_name(topic)).upper() for topic in topics)
     scope = Scope(name for name, times in count.items() if times > 1)
@@ -125,7 +125,7 @@ def string_literal(text: str) -> str:
 
 
 def literal(kind: str, value: Any) -> str | None:
-    """Return the literal of a primitive or "string", lists as array initialisers; None for infinity, NaN."""
+    """Return the literal of a primitive or "string"; lists as array initializers; None for infinity, NaN."""
     if isinstance(value, (list, tuple)):
         parts = [literal(kind, item) for item in value]
         return None if None in parts or not parts else "[" + ", ".join(str(p) for p in parts) + "]"
@@ -151,5 +151,5 @@ def literal(kind: str, value: Any) -> str | None:
 
 
 def time_literal(nanoseconds: int) -> str:
-    """Return a TIME literal, rounded up to whole milliseconds, at most what the type holds (49 days)."""
+    """Return a TIME literal, rounded up to whole milliseconds and limited to the type's maximum (49 days)."""
     return f"T#{min(-(-nanoseconds // 1_000_000), 2**32 - 1)}ms"

@@ -1,8 +1,8 @@
-"""The PLC half for OpenPLC: Structured Text, and C or C++ between it and ``rosplc/plc.h``.
+"""The PLC part for OpenPLC: Structured Text, and C or C++ between it and ``rosplc/plc.h``.
 
 ``openplc`` is OpenPLC Runtime 4.1 with the compiler STruC++, ``matiec`` the compiler of OpenPLC v3 and
-Beremiz. The function blocks have the names of those for CODESYS; their bodies are a call of C or C++, which
-copies field by field: a variable of STruC++ is an object, and matiec's strings are not those of a record.
+Beremiz. The function blocks have the same names as for CODESYS. Their bodies call C or C++, which copies
+field by field: a STruC++ variable is an object, and matiec's strings differ from those of a record.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _STRING = 126  # bytes that matiec keeps of every string, whatever is declared
 
 
 def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """Return path below the output folder → file for a configuration, and what a person should know.
+    """Return path below the output folder → file for a configuration, and notes for the user.
 
     Raises GenerationError (PLC006) for a name that is too long for matiec.
     """
@@ -142,7 +142,7 @@ class _Openplc:
         return result
 
     def _dut(self, dut: Dut, node: nodes.StructNode) -> Dut:
-        """Return a structure without padding, and without initial values that the compiler would change."""
+        """Return a structure without padding and without initial values that the compiler would alter."""
         members = []
         for variable, member in zip(dut.members, node.members, strict=True):
             if isinstance(member.node, nodes.PaddingNode):
@@ -181,7 +181,7 @@ class _Openplc:
             }
 
     def _kind(self, node: nodes.Node) -> str:
-        """Return how matiec's C copies a value; empty: byte by byte."""
+        """Return how matiec's C code copies a value; empty: byte by byte."""
         if isinstance(node, nodes.StructNode):
             return self.builder.struct(node).dut.upper()
         if isinstance(node, nodes.StringNode):
@@ -246,7 +246,7 @@ class _Openplc:
 
 
 def _of_matiec(node: nodes.Node, declared: str) -> str:
-    """Return a member's type for matiec: a string too long for its STRING is bytes that end with a 0."""
+    """Return a member's type for matiec; a string too long for STRING becomes bytes that end with a 0."""
     several = node if isinstance(node, (nodes.ArrayNode, nodes.SequenceNode)) else None
     inner = several.element if several else node
     if not isinstance(inner, nodes.StringNode):
@@ -258,7 +258,7 @@ def _of_matiec(node: nodes.Node, declared: str) -> str:
 
 
 def _counted(node: nodes.StructNode, member: nodes.Member) -> int:
-    """Return the capacity of the sequence whose elements a member counts; 0: it counts none."""
+    """Return the capacity of the sequence whose elements a member counts; 0 if it is no count."""
     counted = (m.node for m in node.members if m.name == member.count_of and not m.count_of)
     return (
         next((n.capacity for n in counted if isinstance(n, nodes.SequenceNode)), 0) if member.count_of else 0

@@ -1,4 +1,4 @@
-"""What a generation is asked for: topics, tasks, and what holds for the whole project."""
+"""The input of a generation: topics, tasks, and options for the whole project."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LONGEST_NAME = 80  # characters: SysShm and SysSemProcess take a STRING
 
 
 def check_classic(topic: str, classic: ClassicPlan) -> None:
-    """Raise what makes a name impossible: GenerationError PLC007."""
+    """Raise GenerationError PLC007 if the memory or semaphore has an invalid name."""
     for name in (classic.name, classic.semaphore):
         plain = all("!" <= char <= "~" and char != "/" for char in name)
         if len(name) > LONGEST_NAME or not plain or not classic.name:
@@ -24,14 +24,14 @@ def check_classic(topic: str, classic: ClassicPlan) -> None:
 
 
 def classic_wait(classic: ClassicPlan, cycle_ns: int) -> int:
-    """Return the ms to wait for the lock: at most half of the task's cycle; ``cycle_ns`` 0 if it has none."""
+    """Return the ms to wait for the lock, at most half the task's cycle; ``cycle_ns`` 0 if it has none."""
     wait = -(-classic.wait_ns // 1_000_000)
     return min(wait, cycle_ns // 2_000_000) if cycle_ns else wait
 
 
 @dataclass(frozen=True)
 class PlcTopic:
-    """One topic as the PLC sees it."""
+    """A topic as seen by the PLC."""
 
     topic: str  # as ROS writes it
     layout: Layout  # its message's layout
@@ -55,7 +55,7 @@ class PlcTopic:
 
 @dataclass(frozen=True)
 class PlcTask:
-    """One task of the configuration; times in nanoseconds, 0: none."""
+    """A task of the configuration; times in nanoseconds, 0: none."""
 
     name: str
     interval_ns: int = 10_000_000
@@ -67,7 +67,7 @@ class PlcTask:
 
 @dataclass(frozen=True)
 class ProjectOptions:
-    """What holds for the whole project."""
+    """Options for the whole project."""
 
     folder: str = "ROS"  # the top folder in the PLC project
     prefix: str = "rosplc"  # the prefix of shared-memory names
@@ -83,7 +83,7 @@ class ProjectOptions:
 
 
 def target_of(machine: str) -> Literal["x86", "arm"]:
-    """Return a :func:`platform.machine`'s target: ARM if not x86, as its delayed rule is right everywhere."""
+    """Return the target for :func:`platform.machine`: ARM unless x86, because its rule is safe everywhere."""
     return "x86" if machine.lower() in ("x86", "x86_64", "amd64", "i386", "i486", "i586", "i686") else "arm"
 
 
@@ -92,9 +92,9 @@ _SCANS, _LEAST_BEAT_MS = 10, 250
 
 
 def beat_ms(task: PlcTask) -> int:
-    """Return the longest time between two beats that the blocks of a task promise, in ms.
+    """Return the longest time between two heartbeats that the blocks of a task promise, in ms.
 
-    Ten cycles, as a task may be late or pause; the claim of a writer that dies holds for three such times.
+    It is ten cycles, since a task may be late or pause; a dead writer's claim lasts three such times.
     """
     if task.kind != "cyclic":
         return UNKNOWN_BEAT_MS

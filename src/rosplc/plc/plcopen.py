@@ -1,9 +1,9 @@
 """Write a project as PLCopenXML (TC6, version 2.00) as CODESYS exports and imports it.
 
-Each object carries its declaration twice, from the same model: structured, as the schema has
-it, and as plain text in ``addData``, which keeps comments, attributes and arguments of
-``FB_Init``. Shapes and places follow exports of CODESYS V3.5 SP15 and SP21. The importer
-creates no task, so the file has none: the script does that, or the technician by hand.
+Each object contains its declaration twice, from the same model: structured, as in the schema,
+and as plain text in ``addData``, which keeps comments, attributes and arguments of
+``FB_Init``. The form follows exports of CODESYS V3.5 SP15 and SP21. The importer creates no
+tasks, so the file has none: the script creates them, or the technician by hand.
 """
 
 from __future__ import annotations
@@ -102,12 +102,12 @@ def _identify(extra: ET.Element, item: Item) -> None:
 
 
 def _identity(name: str) -> str:
-    """Return the object's id: fixed by its name, so that a second import finds the first one's."""
+    """Return the object's id, derived from its name, so that a repeated import finds the object."""
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"rosplc:plc:{name}"))
 
 
 def _type(parent: ET.Element, text: str) -> None:
-    """Append the element of a type that is written as Structured Text."""
+    """Append the element for a type given as Structured Text."""
     if match := _ARRAY.match(text):
         array = ET.SubElement(parent, "array")
         ET.SubElement(array, "dimension", lower=match["lower"], upper=match["upper"])
@@ -138,7 +138,7 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
 
 
 def _initial(parent: ET.Element, text: str) -> None:
-    """Append the element of an initial value that is written as Structured Text."""
+    """Append the element for an initial value given as Structured Text."""
     if text.startswith("["):
         array = ET.SubElement(parent, "arrayValue")
         for item in _items(text[1:-1]):
@@ -155,7 +155,7 @@ def _initial(parent: ET.Element, text: str) -> None:
 
 
 def _items(text: str) -> Iterator[str]:
-    """Yield what commas part; strings, arrays and structures may hold commas of their own."""
+    """Yield the items between commas; strings, arrays and structures may contain commas."""
     start = depth = 0
     for match in re.finditer(r"'(?:[^'$]|\$.)*'|[][(),]", text):
         if match[0] in ("(", "["):
@@ -275,7 +275,7 @@ def _libraries(extra: ET.Element, project: PlcProject) -> None:
 
 
 def _structure(extra: ET.Element, project: PlcProject) -> None:
-    """Append the folders, which the importer may or may not use."""
+    """Append the folders, which the importer may ignore."""
     root = ET.SubElement(_data(extra, "projectstructure", "discard"), "ProjectStructure")
     folders: dict[str, ET.Element] = {"": root}
 

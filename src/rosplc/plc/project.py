@@ -1,8 +1,8 @@
-"""A PLC project as data, the one model behind every delivery, and its objects as Structured Text.
+"""A PLC project as data, the common model for every output format, and its objects as Structured Text.
 
 The generator fills these objects; the writers (``.st`` files, PLCopenXML, ScriptEngine
-script) only render them, so that the three deliveries cannot disagree. Types, initial values
-and implementations are Structured Text; everything else is structure.
+script) only render them, so the three formats cannot differ. Types, initial values and
+implementations are Structured Text; everything else is structured data.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ Item: TypeAlias = "Dut | Enumeration | Gvl | Pou"  # an object of the project
 
 
 class Task(NamedTuple):
-    """A task of the task configuration, and the programs that it calls, in order."""
+    """A task of the task configuration, with the programs that it calls, in order."""
 
     task: PlcTask
     programs: tuple[str, ...]
@@ -116,7 +116,7 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PlcProject:
-    """Everything that a generation produces; objects are in the order in which they depend."""
+    """The complete result of a generation; objects are in order of dependency."""
 
     name: str  # the top folder's name in the PLC project
     duts: tuple[Dut | Enumeration, ...] = ()
@@ -129,7 +129,7 @@ class PlcProject:
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """Every object."""
+        """All objects."""
         return (*self.duts, *self.gvls, *self.pous)
 
 
@@ -165,7 +165,7 @@ def _blocks(blocks: Iterable[VarBlock]) -> list[str]:
 
 
 def declaration(item: Item) -> str:
-    """Return the declaration part as CODESYS keeps it, ending with a line feed."""
+    """Return the declaration part as CODESYS stores it, ending with a line feed."""
     lines = [*_comment(item.comment), *_attributes(item.attributes)]
     if isinstance(item, Dut):
         lines += [f"TYPE {item.name} :", "STRUCT", *map(_variable, item.members), "END_STRUCT", "END_TYPE"]
@@ -185,7 +185,7 @@ def declaration(item: Item) -> str:
 
 
 def method_declaration(method: Method) -> str:
-    """Return a method's declaration part as CODESYS keeps it, ending with a line feed."""
+    """Return a method's declaration part as CODESYS stores it, ending with a line feed."""
     head = f"METHOD {method.access} {method.name}"
     if method.return_type:
         head += f" : {method.return_type}"
@@ -193,7 +193,7 @@ def method_declaration(method: Method) -> str:
 
 
 def object_text(item: Item) -> str:
-    """Return the whole text of an object, as a ``.st`` file holds it."""
+    """Return the complete text of an object, as in a ``.st`` file."""
     text = declaration(item)
     if not isinstance(item, Pou):
         return text
@@ -207,5 +207,5 @@ def _body(text: str) -> str:
 
 
 def project_texts(project: PlcProject) -> dict[str, str]:
-    """Return the whole text of every object by its name, in the order of the project."""
+    """Return the complete text of every object by name, in the order of the project."""
     return {item.name: object_text(item) for item in project.items}

@@ -1,8 +1,8 @@
-"""DUTs: one structure per message type and set of capacities, plus its constants and initial values.
+"""DUTs: one structure per message type and set of capacities, with its constants and initial values.
 
-A struct member for every layout member, padding included, so that any pack mode gives the
-same offsets. Where one message type occurs with several sets of capacities in a project, the
-first (in the order of topics) has the plain name and the others a suffix from their layout.
+Each layout member, including padding, has a struct member, so any pack mode gives the same
+offsets. If a message type is used with several sets of capacities in a project, the first
+(in the order of topics) gets the plain name, the others a suffix derived from their layout.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _MAX_STRING = 32767
 
 @dataclass(frozen=True)
 class MemberNames:
-    """Identifiers of a DUT's members by their index in the struct node."""
+    """The identifiers of a DUT's members, by their index in the struct node."""
 
     dut: str
     names: tuple[str, ...]
@@ -35,7 +35,7 @@ class MemberNames:
 
 @dataclass
 class DutBuilder:
-    """Collects the DUTs that layouts need, each once, in the order in which they depend."""
+    """Collects the DUTs that layouts need, each once, in order of dependency."""
 
     store: TypeStore  # knows default values and constants
     folder: str = ""  # the folder of everything built
@@ -49,7 +49,7 @@ class DutBuilder:
     _seen_types: set[str] = field(default_factory=set)
 
     def add(self, layout: Layout) -> str:
-        """Build a layout's DUTs; return the name of the message's own."""
+        """Build a layout's DUTs; return the name of the message's DUT."""
         return self.struct(layout.root).dut
 
     def members(self, layout: Layout) -> dict[str, str]:
@@ -58,7 +58,7 @@ class DutBuilder:
         return {member.name: member.type for dut in self.duts if dut.name == name for member in dut.members}
 
     def struct(self, node: nodes.StructNode) -> MemberNames:
-        """Build a struct's DUT, after those that it contains."""
+        """Build a struct's DUT, after the DUTs that it contains."""
         if known := self.structs.get(node):
             return known
         for member in node.members:
@@ -105,9 +105,9 @@ class DutBuilder:
                 self.note(names.dut, own, name)
 
     def note(self, where: str, wanted: str, given: str) -> None:
-        """Put a name that could not stay on record."""
+        """Record a renamed identifier."""
         if given != wanted:
-            self.renamings.append(f"{where}: {wanted} is named {given}")
+            self.renamings.append(f"{where}: {wanted} was renamed to {given}")
 
     def _type(self, node: nodes.Node) -> str:
         if isinstance(node, nodes.ScalarNode):
@@ -160,7 +160,7 @@ def _initial(member: nodes.Member, fields: dict[str, Field]) -> str | None:
 
 
 def _literal_of(value: Value) -> str | None:
-    """Return some literal of a value; None where Structured Text has none (infinity, NaN)."""
+    """Return a literal of a value; None if Structured Text has none (infinity, NaN)."""
     items = value if isinstance(value, tuple) else (value,)
     return literal("float64", items) if any(isinstance(item, float) for item in items) else ""
 
@@ -175,7 +175,7 @@ def _constant(constant: Constant) -> tuple[str, str] | None:
 
 
 def _wanted(member: nodes.Member) -> str:
-    """Return what a member is called if nothing speaks against it."""
+    """Return the preferred name of a member."""
     if isinstance(member.node, nodes.PaddingNode):
         return f"abPad{member.offset}"
     return f"{member.name}_count" if member.count_of else member.name
@@ -186,7 +186,7 @@ def _element(node: nodes.Node) -> nodes.Node:
 
 
 def initial_value(node: nodes.StructNode, value: Mapping[str, Any], builder: DutBuilder) -> str | None:
-    """Return the initial value with these fields, which ``Layout.pack`` accepted; None if there are none."""
+    """Return the initial value with these fields, accepted by ``Layout.pack``; None without fields."""
     names = builder.struct(node)
     parts = []
     for member in node.members:
@@ -211,7 +211,7 @@ def _value(node: nodes.Node, value: Any, builder: DutBuilder) -> str | None:
 
 
 def _elements(node: nodes.ArrayNode | nodes.SequenceNode, value: Any, builder: DutBuilder) -> str | None:
-    """Return an array's initial value; elements beyond those given are as if nobody had filled them."""
+    """Return an array's initial value; further elements are initial structures, zero or empty."""
     element = node.element
     if isinstance(element, nodes.StructNode):
         # An element without a field of its own still needs a place: it names one that is initial.
@@ -226,7 +226,7 @@ def _elements(node: nodes.ArrayNode | nodes.SequenceNode, value: Any, builder: D
 
 
 def _untouched(node: nodes.StructNode, builder: DutBuilder) -> str | None:
-    """Return a structure's initial value, written with one of its members; None if it has none at all."""
+    """Return a structure's initial value, written with one of its members; None if no member has one."""
     defaults = {item.name: item.default for item in builder.store[node.type_name].fields}
     names = builder.struct(node)
     for member in node.members:
@@ -238,7 +238,7 @@ def _untouched(node: nodes.StructNode, builder: DutBuilder) -> str | None:
 
 
 def _plain(node: nodes.Node, default: Any, builder: DutBuilder) -> str | None:
-    """Return a member's initial value; None where it has a default that is a list."""
+    """Return a member's initial value; None if its default is a list."""
     if isinstance(node, nodes.StructNode):
         return _untouched(node, builder)
     if isinstance(default, tuple):

@@ -1,4 +1,4 @@
-"""The data logger: channels to MCAP files that ROS tools read, and recordings back into channels or ROS."""
+"""The data logger: records channels to MCAP files for ROS tools, and replays them into channels or ROS."""
 
 import warnings
 from typing import Any

@@ -1,9 +1,9 @@
-"""What is recorded: a topic's channel, or the objects of a service or action; and how files name it.
+"""The recorded data: a topic's channel, or the objects of a service or action; and their names in files.
 
-Calls are recorded as ROS 2 does, by the events of its service introspection: those of ``/cell/start`` are
-messages ``pkg/srv/Name_Event`` on ``/cell/start/_service_event``. An event repeats a request or response;
-client and number (``info``) tell which call it belongs to. An action is recorded by the events of its three
-services, its feedback and its status, below ``/cell/move/_action``.
+Calls are recorded as in ROS 2, by service introspection events: those of ``/cell/start`` are messages
+``pkg/srv/Name_Event`` on ``/cell/start/_service_event``. An event repeats a request or response; its client
+and number (``info``) identify the call. An action is recorded by the events of its three services, its
+feedback and its status, below ``/cell/move/_action``.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _TOPICS = {
     **{f"{_ACTION}{name}{EVENTS}": f"{kind}_Event" for name, kind in _SERVICES.items()},
     **{f"{_ACTION}{name}": kind for name, kind in _MESSAGES.items()},
 }
-"""What the topics of an action are called, and the types of their messages."""
+"""The names of an action's topics, and the types of their messages."""
 _COMMON = (
     "unique_identifier_msgs/msg/UUID", "action_msgs/msg/GoalStatusArray",
     "action_msgs/srv/CancelGoal_Request", "action_msgs/srv/CancelGoal_Response",
@@ -64,31 +64,31 @@ _ENDS = {
 
 
 def service_of(topic: str, type_name: str) -> str:
-    """Return the service whose events a topic has; empty if it has none. As rosbag2 does."""
+    """Return the service whose events a topic contains, or empty; as rosbag2 does."""
     events = topic.endswith(EVENTS) and "/srv/" in type_name and type_name.endswith("_Event")
     return topic.removesuffix(EVENTS) if events and _ACTION not in topic else ""
 
 
 def action_of(topic: str, type_name: str) -> str:
-    """Return the action whose goals a topic has; empty if it has none."""
+    """Return the action whose goals a topic contains, or empty."""
     events = "/action/" in type_name and type_name.endswith("_SendGoal_Event")
     return topic.removesuffix(GOALS) if events and topic.endswith(GOALS) else ""
 
 
 def recorded_name(topic: str) -> str:
-    """Return the topic, service or action that a topic of a recording has."""
+    """Return the topic, service or action of a recorded topic."""
     ending = next((one for one in (*_TOPICS, EVENTS) if topic.endswith(one)), "")
     return topic.removesuffix(ending)
 
 
 def topics_of(name: str, part: shm.Part) -> list[str]:
-    """Return the topics that files have of a topic, service or action."""
+    """Return the recorded topics of a topic, service or action."""
     endings = {shm.Part.TOPIC: [""], shm.Part.REQUEST: [EVENTS], shm.Part.GOAL: [*_TOPICS]}
     return [name + ending for ending in endings.get(part, ())]
 
 
 class _Object:
-    """An object, attached read-only; arguments and errors as :class:`Carried`."""
+    """An object, attached read-only; arguments and errors are as for :class:`Carried`."""
 
     def __init__(self, path: Path, *, since_ns: int | None) -> None:
         self.attached = shm.open_object(str(path))
@@ -127,7 +127,7 @@ class _Object:
 
 @dataclass(frozen=True)
 class Stream:
-    """A topic of a recording; ``objects`` are those whose losses count as its own."""
+    """A topic of a recording; losses of ``objects`` count as its own."""
 
     topic: str
     codec: Codec
@@ -137,12 +137,12 @@ class Stream:
 
     @property
     def lost(self) -> int:
-        """Messages that were overwritten before they were taken."""
+        """Number of messages that were overwritten before they were taken."""
         return sum(one.reader.lost for one in self.objects)
 
 
 class Event(NamedTuple):
-    """What has happened: which stream has it, a number, a time (ns since 1970), and its CDR."""
+    """An event: its stream, a number, a time (ns since 1970), and its CDR."""
 
     stream: int
     number: int
@@ -151,11 +151,11 @@ class Event(NamedTuple):
 
 
 class Carried:
-    """A topic's channel, attached read-only: recording it disturbs no one.
+    """A topic's channel, attached read-only: recording it has no side effects.
 
-    ``since_ns`` is when the recording began (ns since 1970), if it has: then what the object holds already is
-    taken; if None, what comes after :meth:`join` is. Raises ChannelError as :func:`rosplc.shm.attach`; SHM113
-    if the object does not describe itself.
+    ``since_ns`` is when the recording began (ns since 1970), None before that. If it is set, messages already
+    in the object are taken; otherwise, only those after :meth:`join`. Raises ChannelError as
+    :func:`rosplc.shm.attach`; SHM113 if the object has no self-description.
     """
 
     mode = _IN_ORDER
@@ -174,24 +174,24 @@ class Carried:
         )
 
     def join(self, group: shm.Group) -> list[int]:
-        """Have a group take what comes from now on, or report that something has; return the indices.
+        """Let a group take messages from now on, or report that there are some; return the indices.
 
-        What came while the objects were opened is no loss. Raises SHM111 if one has been retired.
+        Messages that arrived during the opening do not count as lost. Raises SHM111 if an object was retired.
         """
         for one in self._objects:
             one.begin()
         return [group.add_reader(one.reader, one.codec.plan, self.mode, one.slots) for one in self._objects]
 
     def events(self, now_ns: int) -> Iterator[Event]:
-        """Yield what happened, where a group only reports that something has."""
+        """Yield the events, if a group only reports that there are some."""
         yield from ()
 
     def still_there(self) -> bool:
-        """Return whether the names still lead to these objects."""
+        """Return whether the names still refer to these objects."""
         return all(one.attached.still_there() for one in self._objects)
 
     def untaken(self, stream: Stream) -> int:
-        """Return how many messages of a stream the objects hold that were not taken."""
+        """Return the number of messages of a stream in the objects that were not taken."""
         return sum(one.untaken(self.since_creation) for one in stream.objects)
 
     def close(self) -> None:
@@ -203,9 +203,9 @@ class Carried:
 class CarriedService(Carried):
     """The objects of one use of a service; ``path`` is the file of its requests.
 
-    Of a call's messages the first is a request, unless it is withdrawn already; of its answers a response is
-    one, and all others report that there is none. Raises ChannelError as :class:`Carried`; SHM112 if
-    the objects do not belong together.
+    The first message of a call is a request, unless it is already withdrawn. Among a call's answers, only a
+    response is recorded; others report that there is no response. Raises ChannelError as :class:`Carried`;
+    SHM112 if the objects do not belong together.
     """
 
     mode = _REPORT_NEWS
@@ -226,7 +226,7 @@ class CarriedService(Carried):
             self.close()
             if not isinstance(error, RosplcError) or isinstance(error, ChannelError):
                 raise
-            what = f"its events have no layout: {error.what} [{error.code}]"
+            what = f"the event type has no valid layout: {error.what} [{error.code}]"
             raise ChannelError("SHM113", what, where=str(path)) from error
         self.since_creation = False
         self._call = 0
@@ -242,7 +242,7 @@ class CarriedService(Carried):
         return (Stream(self.description.topic + EVENTS, codec, limits, tuple(self._objects)),)
 
     def events(self, now_ns: int) -> Iterator[Event]:
-        """Yield what has happened; a response never comes before its request."""
+        """Yield the events; a response never precedes its request."""
         while (answer := self._objects[1].next()) is not None:
             yield from self._asked(now_ns)
             yield from self._answered(answer, now_ns)
@@ -259,7 +259,7 @@ class CarriedService(Carried):
             yield self._event(0, info, now_ns, response=self._objects[1].view)
 
     def _event(self, stream: int, info: shm.SlotInfo, now_ns: int, **part: Any) -> Event:
-        """Return an event that has a request or a response."""
+        """Return an event with a request or response."""
         answers, time_ns = "response" in part, _time_of(info, now_ns)
         about = {
             # REQUEST_SENT, REQUEST_RECEIVED, RESPONSE_SENT, RESPONSE_RECEIVED: as the PLC sees it.
@@ -289,8 +289,8 @@ class _Goal:
 class CarriedAction(CarriedService):
     """The objects of one use of an action; ``path`` is the file of its goals.
 
-    What they tell is given as a client and a server of ROS exchange it: a goal that was accepted is asked for
-    its result; what led to a newer state is told with it.
+    Events are recorded as if exchanged by a ROS client and server: the result of an accepted goal is
+    requested, and the events that led to a newer state are included.
     """
 
     parts = shm.ACTION
@@ -320,7 +320,7 @@ class CarriedAction(CarriedService):
         )
 
     def events(self, now_ns: int) -> Iterator[Event]:
-        """Yield what has happened, in the order of a goal's life."""
+        """Yield the events, in the order of a goal's life cycle."""
         # Feedback is taken first: that its goal was accepted is then among the answers.
         self._early = [*self._fed(now_ns)]
         yield from super().events(now_ns)
@@ -413,7 +413,7 @@ def _stamp(time_ns: int) -> dict[str, int]:
 
 
 def with_interface(store: TypeStore, name: str) -> TypeStore:
-    """Return a store that knows a service or action, of whose parts it has the messages, as well."""
+    """Return a store that also has a service or action whose parts it has as messages."""
     if "/action/" in name:
         store = store.with_types_of(TypeStore.bundled("jazzy"), *_COMMON)
     return store.with_events(name)
@@ -427,7 +427,7 @@ def _merged(*layouts: Layout) -> TypeStore:
 
 
 def _codec(store: TypeStore, type_name: str, parts: Mapping[str, Layout], **limits: int) -> Codec:
-    """Return the codec of a message that repeats others, each with the capacities of its own layout."""
+    """Return the codec of a message that contains others, each with the capacities of its own layout."""
     capacities: dict[str, int] = {}
     for name, part in parts.items():
         for path, _, node in part.fields():
@@ -437,7 +437,7 @@ def _codec(store: TypeStore, type_name: str, parts: Mapping[str, Layout], **limi
 
 
 def channel_info(carried: Carried, stream: Stream, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
-    """Return how a file names a stream; ``qos`` None where it is not configured."""
+    """Return the channel of a stream in a file; ``qos`` None if it is not configured."""
     description, layout = carried.description, stream.codec.layout
     definition = layout.store.definition_text(layout.type_name)
     metadata = {
@@ -466,7 +466,7 @@ def channel_info(carried: Carried, stream: Stream, number: int, prefix: str, qos
 
 
 def _action_text(store: TypeStore, action: str) -> str:
-    """Return the definition of a message that has an action's parts, for a replay to know them all."""
+    """Return the definition of a message that contains an action's parts, so that a replay has them all."""
     parts = store.action(action)
     fields = {"goal": parts.goal, "result": parts.result, "feedback": parts.feedback}
     own = MessageType(action, tuple(Field(name, NamedType(part.name)) for name, part in fields.items()))

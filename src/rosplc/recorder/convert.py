@@ -1,4 +1,4 @@
-"""Messages of one definition as messages of another: fields are matched by name, never by position.
+"""Converts messages from one definition to another: fields are matched by name, never by position.
 
 Recordings may be of unknown origin: no definition is executed, and lengths are checked before reading.
 """
@@ -23,7 +23,7 @@ from rosplc.model.types import (
 from rosplc.ros import ROS1, fields
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage", "rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log"}
-"""ROS 1 type → the ROS 2 type that took its place."""
+"""ROS 1 type → the ROS 2 type that replaced it."""
 
 _LOG = ("rosgraph_msgs/msg/Log", "rcl_interfaces/msg/Log")
 _LOG_LEVELS = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}
@@ -39,17 +39,17 @@ _Bound = StringType | SequenceType
 
 
 def renamed(type_name: str, store: TypeStore) -> str:
-    """Return what a recorded type is called among the types of a store."""
+    """Return the name of a recorded type in a store."""
     new = RENAMED.get(type_name, type_name)
     return new if type_name not in store and new in store else type_name
 
 
 class Conversion:
-    """Turns messages of one definition into messages of another, in CDR or ROS 1's serialization.
+    """Converts messages from one definition to another, in CDR or ROS 1 serialization.
 
-    A field that only the source has is dropped, one that only the target has stays zero; both are noted.
-    ``where`` is the topic, for errors. Raises RecordingError REC007 if a field has two types that do not
-    agree, or the two definitions have no field in common.
+    A field that only the source has is dropped; a field that only the target has stays zero; both are noted.
+    ``where`` is the topic, for errors. Raises RecordingError REC007 if a field has incompatible types, or the
+    two definitions have no field in common.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Conversion:
         self._change = self._message(own, wanted, "")
 
     def __call__(self, data: bytes) -> bytes | None:
-        """Return a message under the target's definition; None if there is nothing to be sent.
+        """Return a message in the target's definition; None if there is nothing to send.
 
         Raises CodecError COD001, COD002, COD003 or COD008 if it does not fit one of the two definitions.
         """
@@ -110,7 +110,7 @@ class Conversion:
             if names and wanted_names and not common:
                 raise self._refused(f"{own.name} and {wanted.name} have no field in common")
             if [n for n in names if n in common] != [n for n in wanted_names if n in common]:
-                self.notes.append(f"{path}* are ordered differently in {wanted.name}, but matched by name")
+                self.notes.append(f"{path}* have another order in {wanted.name}; they are matched by name")
         changes: dict[str, _Change] = {}
         for field in wanted.fields:
             if field.name in shape:
@@ -164,10 +164,10 @@ class Conversion:
 
 
 class Requests(Conversion):
-    """Takes the requests out of a service's events, or the goals out of an action's.
+    """Extracts the requests from a service's events, or the goals from an action's.
 
-    An event that is no request is nothing; nor is what another event, of the other side, has told already.
-    Raises RecordingError REC007 if the definitions of the parts do not agree.
+    Events that are not requests are ignored, as are requests that an event of the other side also contains.
+    Raises RecordingError REC007 if the definitions of the parts do not match.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class Requests(Conversion):
         self._seen: dict[tuple[bytes, int], int] = {}
 
     def __call__(self, data: bytes) -> bytes | None:
-        """Return the request or goal; CodecError too if the recording has none of its content."""
+        """Return the request or goal; also raises CodecError if its content was not recorded."""
         event = fields.unpack_whole(self._events, self._event, data)
         about = event["info"]
         kind, call = about["event_type"], (about["client_gid"], about["sequence_number"])
@@ -195,7 +195,7 @@ class Requests(Conversion):
         if self._seen.setdefault(call, kind) != kind:
             return None
         if not event["request"]:
-            raise CodecError("COD001", "the recording lacks the content of the request", where=self._where)
+            raise CodecError("COD001", "the content of the request was not recorded", where=self._where)
         [request] = event["request"]
         return self._written(request["goal"] if self._is_goal else request)
 
@@ -205,5 +205,5 @@ def _same(value: Any) -> Any:
 
 
 def _on_wire(store: TypeStore, name: str, ros1: bool) -> TypeStore:
-    """Return a type, and those it needs, of the ROS in whose serialization its messages are."""
+    """Return a store with a type and those that it uses, for the ROS version of its serialization."""
     return TypeStore(ROS1 if ros1 else "", {each: store[each] for each in store.dependencies(name)})

@@ -1,7 +1,7 @@
-"""Taking every message of the selected channels, in order, and making chunks of them.
+"""Takes every message of the selected channels, in order, and makes chunks of them.
 
-One thread looks at all channels at once (:class:`rosplc.shm.Group`), puts messages into batches and counts
-what it missed. The caller of :meth:`Inlet.look_after` opens and closes objects. A second thread compresses.
+One thread polls all channels together (:class:`rosplc.shm.Group`), adds messages to batches and counts
+missed messages. The caller of :meth:`Inlet.look_after` opens and closes objects. A second thread compresses.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from rosplc.shm.constants import STAMP_SYSTEM
 
 @dataclass(frozen=True)
 class Selection:
-    """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``.
+    """Names or patterns of topics, such as ``/robot1/*``; without ``topics``, all except ``exclude``.
 
-    A * also matches slashes; a service's or action's name means all topics of it.
+    A * also matches slashes; the name of a service or action selects all its topics.
     """
 
     topics: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
 
     def __contains__(self, topic: str) -> bool:
-        """Return whether a topic is meant."""
+        """Return whether a topic is selected."""
         return not _matches(topic, self.exclude) and (not self.topics or _matches(topic, self.topics))
 
     def without_match(self, topics: Iterable[str]) -> list[str]:
-        """Return what was asked for and matches none of these topics."""
+        """Return the requested names and patterns that match none of these topics."""
         names = list(topics)
         return [one for one in self.topics if not any(_matches(name, (one,)) for name in names)]
 
@@ -58,7 +58,7 @@ def _matches(topic: str, patterns: Iterable[str]) -> bool:
 
 
 OnMessage = Callable[[Stream, bytes, int], None]
-"""Called by the taking thread with a stream, a message's CDR and the time; it must be quick."""
+"""Called by the taking thread with a stream, a message's CDR and the time; must return quickly."""
 
 _TICK_NS = 1_000_000
 _LONGEST_WAIT_NS = 200_000_000
@@ -69,7 +69,7 @@ _LOSS = 1 << 24  # a first sequence beyond this is no count of messages, but som
 
 @dataclass
 class TopicCount:
-    """Messages of a topic."""
+    """The message counts of a topic."""
 
     type_name: str
     received: int = 0  # taken and kept
@@ -79,7 +79,7 @@ class TopicCount:
 
 @dataclass(eq=False)
 class _Line:
-    """A stream, and the channel of the file that has it."""
+    """A stream, and its channel in the file."""
 
     stream: Stream
     number: int
@@ -90,7 +90,7 @@ class _Line:
 
 @dataclass(eq=False)
 class _Entry:
-    """What the taking thread has in hand; ``lines`` are None for streams that are not selected."""
+    """An object for the taking thread; ``lines`` are None for streams that are not selected."""
 
     carried: Carried
     lines: list[_Line | None]
@@ -108,11 +108,11 @@ class _Entry:
 
 
 class Inlet:
-    """Reads the channels of one prefix; :meth:`start` begins, :meth:`stop` ends.
+    """Reads the channels of one prefix, from :meth:`start` to :meth:`stop`.
 
-    The taking thread gives each batch to ``put`` when it has ``chunk_bytes``, or after ``flush_ns``. ``qos``
-    is topic → QoS, as far as it is configured; ``watch`` is given a stream that is being attached, and
-    returns what its messages are shown to, or None. ``clock`` also stamps the messages.
+    The taking thread passes each batch to ``put`` when it has ``chunk_bytes``, or after ``flush_ns``. ``qos``
+    is topic → configured QoS; ``watch`` gets each attached stream and returns a function to call with its
+    messages, or None. ``clock`` also stamps the messages.
     """
 
     def __init__(
@@ -152,14 +152,14 @@ class Inlet:
         self._thread = threading.Thread(target=self._run, name="rosplc-record", daemon=True)
 
     def start(self) -> None:
-        """Attach to what is there, and take every message from the return of this on."""
+        """Attach to the existing objects; after this returns, every message is taken."""
         self.look_after()
         self._thread.start()
         self._started = True
         self._ready.wait()
 
     def stop(self) -> None:
-        """Take what is there, put the last batch, and close everything."""
+        """Take the remaining messages, put the last batch, and close everything."""
         self._stopping = True
         self._group.wake()
         if self._started:
@@ -170,7 +170,7 @@ class Inlet:
         self._entries.clear()
 
     def look_after(self) -> None:
-        """Count losses, attach to objects that have come, release those that went; about once a second.
+        """Count losses, attach to new objects, release removed ones; call this about once per second.
 
         Raises ChannelError SHM123 if the directory cannot be listed.
         """
@@ -284,7 +284,7 @@ class Inlet:
                 return
 
     def _gather(self, batch: Batch, messages: list[tuple[int, bytes, int, int, int, int]]) -> bool:
-        """Put what was taken into a batch; return whether that was anything."""
+        """Add taken messages to a batch; return whether there were any."""
         now, before = self._clock.time_ns(), len(batch.data)
         by_index, add = self._by_index, batch.add
         for index, message, sequence, _flags, stamp_ns, stamp_clock in messages:
@@ -319,10 +319,10 @@ _MOST_BYTES = 64 << 20
 
 
 class Outlet:
-    """Compresses batches and passes the chunks to ``take`` in a thread of its own, in order.
+    """Compresses batches and passes the chunks to ``take``, in order, in a separate thread.
 
-    At most 64 MiB wait, uncompressed; what comes beyond is dropped and counted per channel id, as is
-    everything once ``error`` is set.
+    At most 64 MiB wait, uncompressed; anything beyond is dropped and counted per channel id, as are
+    all messages after ``error`` is set.
     """
 
     def __init__(self, take: Callable[[SealedChunk], None], compression: Compression) -> None:
@@ -346,7 +346,7 @@ class Outlet:
             self._drop(batch)
 
     def stop(self) -> None:
-        """Pass on what waits, and end."""
+        """Process the waiting batches, and end."""
         self._pool.shutdown()
 
     def _pass_on(self, batch: Batch) -> None:
@@ -372,7 +372,7 @@ _CHANNEL_OVERHEAD = 300  # its places in two dictionaries
 
 
 class Ring:
-    """Keeps chunks for ``keep_ns`` and within ``most_bytes``; the oldest give way. From any thread."""
+    """Keeps chunks for ``keep_ns`` and within ``most_bytes``, dropping the oldest; thread-safe."""
 
     def __init__(self, keep_ns: int, most_bytes: int, clock: Clock = SYSTEM) -> None:
         self._clock = clock
@@ -396,13 +396,13 @@ class Ring:
                 self.cut_short = True
 
     def chunks(self) -> list[SealedChunk]:
-        """Return what is kept, the oldest first."""
+        """Return the kept chunks, oldest first."""
         with self._lock:
             return [chunk for _, _, chunk in self._chunks]
 
     @property
     def span_ns(self) -> int:
-        """From the oldest message kept to the newest."""
+        """The time from the oldest kept message to the newest."""
         with self._lock:
             if not self._chunks:
                 return 0

@@ -1,12 +1,12 @@
-"""MCAP files: written chunk by chunk, and read although they may be cut off, damaged or hostile.
+"""MCAP files: written chunk by chunk, and read safely even if they are truncated, damaged or hostile.
 
-The library's records are used, its ``Writer`` is not: it takes messages only, while a ring buffer keeps
-compressed chunks until something has happened; and it costs seven times as much per message, which at 20
-topics × 1 kHz decides whether the reader keeps up. A file is good at every moment: what is written is whole
-records, and one that the disk has no room for is taken back. Only :meth:`McapFile.finish` adds the summary,
-so a file without one was cut off. :func:`survey` uses the summary or, where it is missing or wrong, goes
-through the file. Nothing in a file is believed: lengths are checked before memory is asked for, chunks are
-decompressed with a bound, and checksums are compared.
+The library's records are used, but not its ``Writer``: it accepts only messages, while a ring buffer keeps
+compressed chunks until a trigger; and it takes seven times as long per message, so that the reader would not
+keep up at 20 topics × 1 kHz. A file is valid at every moment: only whole records are written, and a record
+that does not fit on the disk is removed. Only :meth:`McapFile.finish` adds the summary, so a file without
+one was truncated. :func:`survey` uses the summary or, if it is missing or wrong, goes through the file. No
+content of a file is trusted: lengths are checked before memory is allocated, decompression is limited, and
+checksums are compared.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _FIXED = 22  # bytes of a message record before its data: channel id, sequence, 
 
 
 class Batch:
-    """The messages of one chunk to be."""
+    """The messages of a future chunk."""
 
     __slots__ = ("data", "end_ns", "index", "start_ns")
 
@@ -89,7 +89,7 @@ class Batch:
 
 
 class ChannelInfo(NamedTuple):
-    """A channel of a file, as everything that precedes its messages; ``id`` is from 1 to 65535."""
+    """The description of a channel in a file; ``id`` is from 1 to 65535."""
 
     id: int
     topic: str
@@ -102,7 +102,7 @@ class ChannelInfo(NamedTuple):
 
 @dataclass(frozen=True)
 class SealedChunk:
-    """A finished chunk: Chunk and MessageIndex records, their index with offsets from 0, id → messages."""
+    """A finished chunk: Chunk and MessageIndex records, an index with offsets from 0, and id → messages."""
 
     blob: bytes
     index: ChunkIndex
@@ -110,7 +110,7 @@ class SealedChunk:
 
 
 def seal(batch: Batch, compression: Compression) -> SealedChunk:
-    """Compress and index a batch that holds at least one message."""
+    """Compress and index a batch with at least one message."""
     raw = packed = bytes(batch.data)
     if compression == "zstd":
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(raw)
@@ -139,7 +139,7 @@ def seal(batch: Batch, compression: Compression) -> SealedChunk:
 
 
 class McapFile:
-    """A file that is being written; nothing may have its name yet. It and its methods raise OSError."""
+    """A file that is being written; its name must not exist yet. It and its methods raise OSError."""
 
     def __init__(self, path: Path, profile: str = "ros2") -> None:
         self.path = path
@@ -162,7 +162,7 @@ class McapFile:
 
     @property
     def messages(self) -> int:
-        """Messages written."""
+        """Number of messages written."""
         return sum(self.counts.values())
 
     @property
@@ -176,7 +176,7 @@ class McapFile:
         return max((chunk.message_end_time for chunk in self._chunks), default=0)
 
     def declare(self, channel: ChannelInfo) -> None:
-        """Write a channel and its schema, if they are not there yet."""
+        """Write a channel and its schema, if not yet written."""
         if channel.id in self._channels:
             return
         key = (channel.schema_name, channel.schema)
@@ -190,7 +190,7 @@ class McapFile:
         self._schemas[key], self._channels[channel.id] = schema, record
 
     def append(self, chunk: SealedChunk) -> None:
-        """Write a chunk, whose channels were declared."""
+        """Write a chunk whose channels were declared."""
         start = self.size
         self._write(chunk.blob)
         offsets = {channel: start + at for channel, at in chunk.index.message_index_offsets.items()}
@@ -208,10 +208,10 @@ class McapFile:
     def finish(self, last_words: Callable[[], Mapping[str, Mapping[str, str]]] = dict) -> None:
         """Write metadata and the summary, and close the file.
 
-        On a full disk the last chunks make room for them: many tools need a summary, and a second of messages
-        is little. :attr:`taken_back` then has their messages. ``last_words`` returns metadata records, name →
-        values; it is called again when a chunk has made room. Raises OSError if there was no room even so;
-        the file is closed, and readable from the front.
+        On a full disk, the last chunks are removed to make room: many tools need a summary, and one second of
+        data is a small loss. :attr:`taken_back` then has their messages. ``last_words`` returns metadata, as
+        name → values; it is called again after a chunk was removed. Raises OSError without enough room; then
+        the file is closed and can be read from its beginning.
         """
         try:
             while not self.finished:
@@ -234,7 +234,7 @@ class McapFile:
             self.close()
 
     def close(self) -> None:
-        """Close the file as it is; harmless twice."""
+        """Close the file in its current state; a second call does nothing."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
@@ -313,7 +313,7 @@ _LOOSE = 1 << 20  # messages outside of chunks are read together in parts of abo
 
 
 class Part(NamedTuple):
-    """A chunk, or messages outside of chunks: where it begins and ends, its earliest and latest log time."""
+    """A chunk, or messages outside of chunks: its position, and its earliest and latest log time."""
 
     offset: int
     end: int
@@ -323,7 +323,7 @@ class Part(NamedTuple):
 
 @dataclass
 class Survey:
-    """What a file holds."""
+    """The content of a file."""
 
     path: Path
     profile: str = ""  # from the header
@@ -339,7 +339,7 @@ class Survey:
     damaged: list[Part] = field(default_factory=list)
 
     def note(self, record: McapRecord) -> None:
-        """Take what a record tells of the whole file."""
+        """Note what a record contains about the whole file."""
         if isinstance(record, records.Header):
             self.profile = record.profile
         elif isinstance(record, Schema):
@@ -355,7 +355,7 @@ class Survey:
 
 
 class _Bounded:
-    """A file that gives what is asked for, or nothing: a length in a damaged file asks for any amount."""
+    """A file whose reads return all requested bytes or fail: lengths in a damaged file are arbitrary."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file, self._size = file, size
@@ -374,10 +374,10 @@ class _Bounded:
 
 
 def survey(path: Path, *, count: bool = False) -> Survey:
-    """Return what a file holds; one cut off or damaged behind its beginning is not ``complete``.
+    """Return the content of a file; a truncated or damaged file is not ``complete``.
 
-    ``count`` looks into every chunk, also where a summary gives its content: that finds damage. Raises
-    RecordingError REC003 if it is no MCAP file or cannot be opened.
+    ``count`` reads every chunk, even if there is a summary, to find damage. Raises RecordingError REC003 if
+    it is not an MCAP file or cannot be opened.
     """
     what, remedy = unreadable_kind(path, folder=False)
     if what:
@@ -415,7 +415,7 @@ def _failed(error: OSError, path: Path) -> RecordingError:
 
 
 def _summary(path: Path, stream: _Bounded) -> Survey | None:
-    """Return what the summary tells; None if there is none that adds up."""
+    """Return the content according to the summary; None without a consistent summary."""
     try:
         reader = SeekingReader(cast("BinaryIO", stream), record_size_limit=None)
         summary = reader.get_summary()
@@ -468,11 +468,11 @@ def _walk(found: Survey, stream: _Bounded) -> None:
         found.complete = False
         if offset == begin:
             begun = stream.tell() > 0 and not isinstance(error, InvalidMagic)
-            what = "it contains no complete record" if begun else "this is not an MCAP file"
+            what = "the file contains no complete record" if begun else "this is not an MCAP file"
             remedy = _HOPELESS if begun else _NO_MCAP
             what = f"{what}: {_words(error)}"
             raise RecordingError("REC003", what, where=str(found.path), remedy=remedy) from error
-        found.problem = f"it ends or is damaged at byte {offset}: {_words(error)}"
+        found.problem = f"the file ends or is damaged at byte {offset}: {_words(error)}"
 
 
 def _look_inside(found: Survey) -> None:
@@ -512,10 +512,10 @@ def _records(path: Path, part: Part) -> Iterator[McapRecord]:
 
 
 def _decompress(chunk: Chunk) -> bytes:
-    """Return a chunk's bytes, as many as it claims and no more."""
+    """Return a chunk's bytes, exactly as many as declared."""
     size = chunk.uncompressed_size
     if size > MAX_CHUNK:
-        raise ValueError(f"a chunk claims to have {size} bytes; the limit is {MAX_CHUNK}")
+        raise ValueError(f"the declared size of a chunk is {size} bytes; the limit is {MAX_CHUNK}")
     if chunk.compression == "zstd":
         data = zstandard.ZstdDecompressor().stream_reader(BytesIO(chunk.data)).read(size + 1)
     elif chunk.compression == "lz4":
@@ -525,7 +525,7 @@ def _decompress(chunk: Chunk) -> bytes:
     else:
         raise ValueError(f"unknown compression {chunk.compression[:20]!r}")
     if len(data) != size:
-        raise ValueError(f"a chunk does not contain the {size} bytes that it claims")
+        raise ValueError(f"a chunk does not have its declared size of {size} bytes")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("the checksum of a chunk is wrong")
     return data

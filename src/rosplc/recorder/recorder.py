@@ -1,4 +1,4 @@
-"""The data logger: from channels to files, at once or when something has happened."""
+"""The data logger: records channels to files, continuously or when a trigger fires."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from rosplc.ros import Qos
 from rosplc.shm import Namespace
 
 _KINDS = {"stale": ("stale",), "error": ("refused", "lost", "plc-gone", "bridge-gone", "unreadable")}
-"""Word → the kinds of events that it stands for."""
+"""Word → the kinds of events that it includes."""
 _OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
     "==": operator.eq, "!=": operator.ne, ">=": operator.ge, "<=": operator.le,
     ">": operator.gt, "<": operator.lt,
@@ -44,7 +44,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition on one field, ``pose.position.x`` or ``codes[2]``; without operator: true, or not 0."""
+    """A condition on one field, ``pose.position.x`` or ``codes[2]``; without an operator: true, or not 0."""
 
     text: str
     topic: str
@@ -53,7 +53,7 @@ class Condition:
     value: bool | int | float | str | None = None
 
     def check(self, layout: Layout) -> None:
-        """Raise RecordingError REC005 unless a type has the field, and it can be compared so."""
+        """Raise RecordingError REC005 unless the type has the field and the comparison is possible."""
         nodes = {path: node for path, _, node in layout.fields()}
         wanted = re.sub(r"\[[0-9]+\]", "[]", self.path)
         node = nodes.get(wanted)
@@ -74,7 +74,7 @@ class Condition:
         return RecordingError("REC005", what, where=self.text)
 
     def holds(self, message: RecordView) -> bool:
-        """Return whether the condition holds; an element that a sequence does not have fulfils none."""
+        """Return whether the condition is true; it is false for an element that a sequence does not have."""
         value: Any = message
         for step in self.path.split("."):
             name, bracket, index = step.partition("[")
@@ -88,10 +88,10 @@ class Condition:
 
 
 def parse_condition(text: str) -> Condition:
-    """Read ``/topic.field``, with a comparison or without; raises RecordingError REC005."""
+    """Parse ``/topic.field``, with or without a comparison; raises RecordingError REC005."""
     found = _CONDITION.fullmatch(text.strip())
     if found is None:
-        what = f"{text!r} is neither stale, error nor a field of a topic"
+        what = f"{text!r} is not a trigger; use stale, error or a topic's field"
         raise RecordingError("REC005", what, where="--trigger")
     value = None if found["value"] is None else _value(found["value"], text)
     return Condition(text.strip(), found["topic"], found["path"], found["operator"] or "", value)
@@ -109,19 +109,19 @@ def _value(text: str, where: str) -> bool | int | float | str:
 
 
 class Fired(NamedTuple):
-    """A trigger that has fired: when (ns since 1970), and why."""
+    """A trigger that has fired: the time (ns since 1970) and the reason."""
 
     time_ns: int
     reason: str
 
 
 class Triggers:
-    """All triggers of a recording; fed by the taking and by the watching thread. REC005: a text is wrong.
+    """All triggers of a recording, used by the taking and the watching thread. REC005: a text is invalid.
 
-    ``stale`` is a topic that became older than it may; ``error`` refused, lost, a bridge or a PLC gone, an
-    object damaged; ``/plc/status.fault`` a field that becomes true, or other than 0; ``/tank.level > 0.9`` or
-    ``/axis.names[2] == 'gripper'`` a comparison that becomes true, with the first message of which it holds
-    after one in which it did not: every message is checked.
+    ``stale`` fires when a topic exceeds its maximum age; ``error`` if messages are refused or lost, a bridge
+    or PLC is gone, or an object is damaged; ``/plc/status.fault`` when a field becomes true or not 0;
+    ``/tank.level > 0.9`` or ``/axis.names[2] == 'gripper'`` when a comparison becomes true, at the first
+    message for which it is true after one for which it was false: every message is checked.
     """
 
     def __init__(self, texts: Iterable[str]) -> None:
@@ -133,25 +133,25 @@ class Triggers:
 
     @property
     def watches(self) -> bool:
-        """Whether events of channels are needed."""
+        """Whether channel events are needed."""
         return bool(self._kinds)
 
     def see(self, events: Sequence[Event]) -> None:
-        """Look at what happened to channels."""
+        """Check channel events."""
         for event in events:
             if event.kind in self._kinds:
                 self.fire(event.time_ns, f"{event.topic or event.prefix}: {event.kind}: {event.words}")
 
     def fire(self, time_ns: int, reason: str) -> None:
-        """Note that one has fired; from any thread."""
+        """Note that a trigger has fired; callable from any thread."""
         self._fired.append(Fired(time_ns, reason))
 
     def take(self) -> list[Fired]:
-        """Return what has fired since the last call."""
+        """Return the triggers that have fired since the last call."""
         return [self._fired.popleft() for _ in range(len(self._fired))]
 
     def watch(self, stream: Stream) -> OnMessage | None:
-        """Return what a stream's messages are to be shown to, or None; a wrong field is a problem."""
+        """Return a function for a stream's messages, or None; an invalid field is noted as a problem."""
         mine = []
         for condition in self.conditions:
             if condition.topic == stream.topic:
@@ -181,7 +181,7 @@ _SETTLE_NS = 200_000_000
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """What is to be recorded, and how."""
+    """The options of a recording."""
 
     namespace: Namespace  # the channels' prefix and directory
     base: Path  # the file's path without ``.mcap``; of a ring buffer's files, what their names begin with
@@ -203,7 +203,7 @@ class RecordingOptions:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a recording is: ``size`` in bytes, and the time ``span_ns`` that a ring buffer holds."""
+    """The progress of a recording: ``size`` in bytes; ``span_ns`` is the time span in a ring buffer."""
 
     seconds: float
     topics: int
@@ -216,7 +216,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a recording."""
+    """The result of a recording."""
 
     files: tuple[Written, ...]
     topics: Mapping[str, TopicCount]
@@ -227,21 +227,21 @@ class Result:
 
     @property
     def received(self) -> int:
-        """Messages taken and kept, of all topics."""
+        """Number of messages taken and kept, of all topics."""
         return sum(topic.received for topic in self.topics.values())
 
     @property
     def lost(self) -> int:
-        """Messages missed, of all topics."""
+        """Number of missed messages, of all topics."""
         return sum(topic.lost + topic.refused for topic in self.topics.values())
 
 
 @contextmanager
 def quick_process() -> Iterator[None]:
-    """Make this process answer quickly, for a program that does nothing but record.
+    """Make this process respond quickly, for a program that only records.
 
-    A thread that computes gives way after half a millisecond instead of five, and garbage collection skips
-    what was there at the start. Both would cost messages of channels with few slots.
+    A computing thread yields after half a millisecond instead of five, and garbage collection skips objects
+    that existed at the start. Otherwise, messages of channels with few slots would be lost.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(0.0005)
@@ -255,9 +255,9 @@ def quick_process() -> Iterator[None]:
 
 
 class Recorder:
-    """A recording; :meth:`start`, :meth:`look_after` a few times a second, :meth:`stop`.
+    """A recording; call :meth:`start`, then :meth:`look_after` a few times per second, then :meth:`stop`.
 
-    Raises RecordingError: REC005, a trigger is wrong; REC001 or REC002, the file cannot be created.
+    Raises RecordingError: REC005 if a trigger is invalid; REC001 or REC002 if the file cannot be created.
     """
 
     def __init__(self, options: RecordingOptions, clock: Clock = SYSTEM) -> None:
@@ -293,10 +293,10 @@ class Recorder:
         self.result: Result | None = None
 
     def start(self) -> None:
-        """Begin.
+        """Start the recording.
 
         Raises ChannelError SHM123 if the directory cannot be listed; RecordingError REC005 if a trigger's
-        field does not exist, REC001 or REC002 if what a ring buffer would save cannot be written.
+        field does not exist, REC001 or REC002 if the files of a ring buffer cannot be written.
         """
         if self._ring is not None:
             # Not only when a trigger fires: what is in memory then would be lost.
@@ -311,7 +311,7 @@ class Recorder:
         self._looked_ns = self._clock.monotonic_ns()
 
     def look_after(self) -> None:
-        """Look for channels, triggers, failures; after REC001 or REC002, :meth:`stop` finishes the files."""
+        """Check channels, triggers and failures; after REC001 or REC002, :meth:`stop` finishes the files."""
         now = self._clock.monotonic_ns()
         if now - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now
@@ -340,16 +340,16 @@ class Recorder:
                 raise error
 
     def trigger(self, reason: str) -> None:
-        """Save the ring buffer, as a trigger would; from any thread."""
+        """Save the ring buffer, as a trigger would; callable from any thread."""
         self._triggers.fire(self._clock.time_ns(), reason)
 
     def idle_triggers(self) -> dict[str, str]:
-        """Return the triggers on topics of which nothing is taken so far: text → topic."""
+        """Return the triggers on topics without any message so far: text → topic."""
         known = self.inlet.counts
         return {one.text: one.topic for one in self._triggers.conditions if one.topic not in known}
 
     def progress(self) -> Progress:
-        """Return how far it is."""
+        """Return the progress."""
         counts = list(self.inlet.counts.values())
         dropped = sum(self._dropped().values())
         store, ring = self._store, self._ring
@@ -364,9 +364,9 @@ class Recorder:
         )
 
     def stop(self) -> Result:
-        """Take what is there, finish the files, and return what became of it.
+        """Take the remaining messages, finish the files, and return the result.
 
-        Without a message only a ring buffer's files stay. Raises REC001 or REC002 if the last has no summary.
+        Without messages, only a ring buffer's files stay. Raises REC001 or REC002 if the last has no summary.
         """
         seconds = self._seconds()
         self.inlet.stop()
@@ -412,7 +412,7 @@ class Recorder:
     # -- the ring buffer
 
     def _save(self) -> None:
-        """Write what the ring holds, in a thread of its own: taking messages goes on."""
+        """Write the ring buffer's content in a separate thread, while messages are still taken."""
         assert self._ring is not None
         fired, self._waiting = self._waiting, []
         if len(self._saves) >= self.options.most_files:

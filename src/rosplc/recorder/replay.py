@@ -1,4 +1,4 @@
-"""Playing a recording in order and at its pace, into channels, topics, services or actions.
+"""Replays a recording in order and at its pace, into channels, topics, services or actions.
 
 Answers, feedback and results are not compared.
 """
@@ -56,7 +56,7 @@ _TICK_NS = 1_000_000
 
 @dataclass
 class SentCount:
-    """What became of one topic's messages; requests are sent when answered, goals when ended, else lost."""
+    """The counts of one topic's messages; answered requests and ended goals count as sent, others as lost."""
 
     sent: int = 0
     refused: int = 0
@@ -66,11 +66,11 @@ class SentCount:
 
     @property
     def open(self) -> int:
-        """Requests without an answer so far."""
+        """Number of requests without an answer so far."""
         return max(0, self.asked - self.sent - self.lost)
 
     def answered(self, reply: Reply) -> None:
-        """Count how a call has ended."""
+        """Count the end of a call."""
         if reply.payload is not None:
             self.sent += 1
         else:
@@ -79,7 +79,7 @@ class SentCount:
 
 
 class Target(ABC):
-    """Where messages go; converted on the way."""
+    """The destination of messages, which are converted on the way."""
 
     linger_s = 0.0  # how long to stay after the last message, in seconds
 
@@ -91,11 +91,11 @@ class Target(ABC):
 
     @abstractmethod
     def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
-        """Pass a converted message on, and return why it is lost; what does not fit is refused."""
+        """Forward a converted message; return why it is lost, or empty. What does not fit is refused."""
 
     @abstractmethod
     def missing(self) -> list[str]:
-        """Return the topics without a reader or subscriber, and services without a server."""
+        """Return the topics without a reader or subscriber, and the services without a server."""
 
     @abstractmethod
     def close(self) -> None:
@@ -107,11 +107,11 @@ class Target(ABC):
 
     @property
     def executing(self) -> bool:
-        """Whether a goal is being executed: however long that takes."""
+        """Whether a goal is being executed, which may take any time."""
         return any(isinstance(one, Goals) and one.accepted for one in self._clients.values())
 
     def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
-        """Convert a message and pass it on; what is refused or lost is counted and never raised."""
+        """Convert a message and forward it; refusals and losses are counted and never raised."""
         count = self.counts[topic]
         try:
             converted = self._conversions[topic](data)
@@ -135,7 +135,7 @@ class Target(ABC):
 
 
 def wait_for_answers(target: Target, stopped: Callable[[float], bool], clock: Clock = SYSTEM) -> None:
-    """Wait until every request has its answer; what has none then is lost. ``stopped`` as below."""
+    """Wait until every request has an answer; the rest count as lost. ``stopped`` is as below."""
     end = clock.monotonic_ns() + _ANSWER_NS
     while any(one.open for one in target.counts.values()) and clock.monotonic_ns() < end:
         if stopped(_LOOK_S):
@@ -150,9 +150,9 @@ def wait_for_answers(target: Target, stopped: Callable[[float], bool], clock: Cl
 def wait_for_readers(
     target: Target, seconds: float, stopped: Callable[[float], bool], clock: Clock = SYSTEM
 ) -> list[str]:
-    """Wait until every topic has a reader or subscriber, and return those that have none.
+    """Wait until every topic has a reader or subscriber, and return the topics that have none.
 
-    ``stopped`` waits for so many seconds; it returns True if the wait is to end.
+    ``stopped`` waits for the given seconds; it returns True to end the wait.
     """
     end = clock.monotonic_ns() + seconds * 1e9
     while (missing := target.missing()) and clock.monotonic_ns() < end:
@@ -167,7 +167,7 @@ _NAP_S = 0.2  # the longest wait before checking whether to stop
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """How a recording is replayed."""
+    """The options of a replay."""
 
     speed: float = 1.0  # 1 as recorded, 2 twice as fast; 0 as fast as possible
     loop: bool = False
@@ -186,12 +186,12 @@ def chosen_topics(
     services: Collection[str] = (),
     actions: Collection[str] = (),
 ) -> tuple[dict[str, SourceTopic], list[str]]:
-    """Return new name → topic of what is to be replayed, and sentences on what was left out.
+    """Return new name → topic for the topics to replay, and remarks on topics that are left out.
 
-    Without names, towards the PLC the topics that the PLC wrote are left out; ``rename`` is topic → new name.
-    Requests are sent to ``services`` and goals to ``actions`` only, whose events are what is chosen; actions'
-    other topics are left out unless each is named. Raises RecordingError REC006 if nothing is left, REC007 if
-    two topics would have one name.
+    If no names are given, a replay to the PLC leaves out topics that the PLC wrote; ``rename`` is topic → new
+    name. Requests are sent only to ``services`` and goals only to ``actions``; their events are selected.
+    Other topics of actions are left out unless named. Raises RecordingError REC006 if nothing is left, REC007
+    if two topics would have the same name.
     """
     remarks = [f"{name} is left out: {why}" for name, why in source.unusable.items() if name in selection]
     chosen: dict[str, SourceTopic] = {}
@@ -217,21 +217,21 @@ def chosen_topics(
             raise RecordingError("REC007", f"{new} would receive the messages of two topics", where=name)
         chosen[new] = topic
     if unknown:
-        raise RecordingError("REC006", "no calls or goals of this name were recorded", where=min(unknown))
+        raise RecordingError("REC006", "no calls or goals with this name were recorded", where=min(unknown))
     names = {one.service or one.action or one.name for one in source.topics.values()}
-    remarks += (f"not renamed: {wrong} is not in the recording" for wrong in rename if wrong not in names)
+    remarks += (f"{wrong} is not renamed: it was not recorded" for wrong in rename if wrong not in names)
     if not chosen:
         known = ", ".join(sorted(source.topics)) or "none"
         calls = any(one.service or one.action for one in source.topics.values())
         remedy = "To send recorded requests or goals, add --service or --action." if calls else ""
-        what = f"no topic is left to replay; topics of the recording: {known}"
+        what = f"no topic is left to replay; the recording contains: {known}"
         raise RecordingError("REC006", what, remedy=remedy)
     return chosen, remarks
 
 
 @dataclass
 class Player:
-    """Plays a recording into a target."""
+    """Replays a recording into a target."""
 
     source: Source
     target: Target
@@ -244,10 +244,10 @@ class Player:
     disordered: int = 0  # messages whose time lies before that of the one sent before
 
     def play(self, stopped: Callable[[float], bool], look: Callable[[], None] = lambda: None) -> None:
-        """Play until the end, or until ``stopped``, which waits so many seconds, returns True.
+        """Replay until the end, or until ``stopped``, which waits for the given seconds, returns True.
 
-        ``look`` is called a few times a second, for progress. REC003: the file is damaged; all before was
-        sent.
+        ``look`` is called a few times per second, for progress. REC003: the file is damaged; all messages
+        before the damage were sent.
         """
         while not stopped(0.0):
             self.rounds += 1
@@ -255,7 +255,7 @@ class Player:
                 return
 
     def _once(self, stopped: Callable[[float], bool], look: Callable[[], None]) -> bool:
-        """Play once; return whether there was a message, and the end was reached."""
+        """Replay once; return whether there was a message and the end was reached."""
         options, source = self.options, self.source
         names: dict[str, list[str]] = {}
         for new, topic in self.topics.items():
@@ -295,13 +295,13 @@ _SLOTS = 64  # of a channel that neither a configuration nor a recording nor an 
 
 
 class PlcTarget(Target):
-    """Channels towards the PLC, each made or adopted as a bridge would.
+    """Channels towards the PLC, each created or adopted as a bridge would.
 
-    A channel's limits and depth are those of the configuration (``project``), else of the object that is
-    there, else of the recording: so the code in the PLC still fits. ``topics`` is name in shared memory →
-    topic, ``distro`` names whose definitions hold where the recording has none. Raises ChannelError SHM116 if
-    a bridge or another program writes the channel, SHM117 and others; REC007 if the PLC writes its topic, or
-    its type is another.
+    A channel's limits and depth are those of the configuration (``project``), otherwise of the existing
+    object, otherwise of the recording, so that they match the code in the PLC. ``topics`` is name in shared
+    memory → topic; ``distro`` is the source of definitions that are not in the recording. Raises ChannelError
+    SHM116 if a bridge or another program writes the channel, SHM117 and others; REC007 if the PLC writes its
+    topic, or its type differs.
     """
 
     def __init__(
@@ -331,7 +331,7 @@ class PlcTarget(Target):
             raise
 
     def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
-        """Write a message into the channel; one that does not fit its limits is refused."""
+        """Write a message into the channel; a message that exceeds its limits is refused."""
         try:
             self._bindings[topic].write(data, stamp_ns=stamp_ns)
         except ChannelError as error:
@@ -339,7 +339,7 @@ class PlcTarget(Target):
         return ""
 
     def missing(self) -> list[str]:
-        """Return the topics that no PLC task reads: whose reader lines show no life between two calls."""
+        """Return the topics that no PLC task reads: no heartbeat in a reader line between two calls."""
         quiet = [name for name, client in self._clients.items() if not client.ready]
         for name in self._bindings:
             now = self._lines(name)
@@ -349,7 +349,7 @@ class PlcTarget(Target):
         return quiet
 
     def close(self) -> None:
-        """Leave the objects, with their last state."""
+        """Close the objects, which keep their last state."""
         for client in self._clients.values():
             client.close()
         for binding in self._bindings.values():
@@ -387,7 +387,7 @@ class PlcTarget(Target):
     def _convert(
         self, name: str, topic: SourceTopic, own: TypeStore, layout: Layout, direction: Direction, who: str
     ) -> None:
-        """Note how messages become a channel's; REC007 if the PLC writes it, or its type is another."""
+        """Prepare the conversion for a channel; REC007 if the PLC writes it, or its type differs."""
         if direction is not Direction.TO_PLC:
             raise RecordingError(
                 "REC007",
@@ -396,25 +396,25 @@ class PlcTarget(Target):
                 remedy=f"Exclude it with --exclude {name}, or rename it with --rename {name}:=/other.",
             )
         if layout.type_name != renamed(topic.type_name, layout.store):
-            what = f"{who} has {layout.type_name}, but the topic was recorded as {topic.type_name}"
+            what = f"the type in {who} is {layout.type_name}, but {topic.type_name} was recorded"
             raise RecordingError("REC007", what, where=name)
         wanted = layout.type_name
         conversion = Conversion(own, topic.type_name, layout.store, wanted, from_ros1=topic.ros1, where=name)
         self._convert_by(name, conversion)
 
     def _call(self, name: str, topic: SourceTopic) -> PlcService | Goals:
-        """Return a service or action of the PLC, as the configuration has it; REC007 as :meth:`_convert`."""
+        """Return a service or action of the PLC from the configuration; REC007 as :meth:`_convert`."""
         called, own, project = recorded_name(name), topic.types(self._distro), self._project
         plans = () if project is None else project.calls
         kind = "action" if topic.action else "service"
         found = (one for one in plans if (one.kind, one.called, one.server) == (kind, called, "plc"))
         plan = next(found, None)
         if plan is None or project is None:
-            what = f"the configuration has no {kind} of this name with server: plc"
-            remedy = f"Set --config to the bridge's file, or send the {_ASKED[kind]} to ROS with --to ros."
+            what = f"the configuration has no {kind} with this name and server: plc"
+            remedy = f"Set --config to the bridge's file, or use --to ros to send the {_ASKED[kind]} to ROS."
             raise RecordingError("REC007", what, where=called, remedy=remedy)
         if plan.type_name != topic.call_type:
-            what = f"the configuration has {plan.type_name}, but the {kind} was recorded as {topic.call_type}"
+            what = f"the type in the configuration is {plan.type_name}, but {topic.call_type} was recorded"
             raise RecordingError("REC007", what, where=called)
         to_ros1 = project.store.ros_version == 1
         self._convert_by(name, Requests(own, plan.type_name, project.store, to_ros1=to_ros1, where=called))
@@ -426,7 +426,7 @@ class PlcTarget(Target):
         return Goals(project.store, called, plan.type_name, plan=plan, context=context)
 
     def _there(self, name: str) -> _Plan | None:
-        """Return the channel that a bridge left; None if there is none, or one that is to be replaced."""
+        """Return a channel that a bridge left; None if there is none, or if it must be replaced."""
         try:
             with attach(self._namespace, name) as attached:
                 status = attached.path.stat()
@@ -438,7 +438,7 @@ class PlcTarget(Target):
 
 
 class PlcPart:
-    """A service or action of the PLC, looked after as a bridge does; ``backend`` is what it has for ROS."""
+    """A service or action of the PLC, maintained as in a bridge; ``backend`` takes the place of ROS."""
 
     def __init__(self, plan: Any, context: Context, backend: Backend) -> None:
         self._clock = context.clock
@@ -449,26 +449,26 @@ class PlcPart:
         use.begin(self._clock.monotonic_ns())
         self._carrier = Carrier("rosplc-calls", ports, self._clock)
         self._carrier.replace((), (use,))
-        beating = Duty("beating", context.beat_ns, context.beat)
+        beating = Duty("sending heartbeats", context.beat_ns, context.beat)
         self._beats = Rounds("rosplc-beats", self._clock, beating)
         self._beats.start()
 
     @property
     def ready(self) -> bool:
-        """Whether the PLC's block lives."""
+        """Whether the PLC's block is alive."""
         return self._use.status(self._clock.monotonic_ns()).peer_alive
 
     def close(self) -> None:
-        """Withdraw what has not begun, and leave the objects."""
+        """Withdraw calls that have not begun, and close the objects."""
         self._carrier.stop()
         self._beats.stop()
         self._use.close()
 
 
 class Goals:
-    """Sends goals to an action: the reply to one tells how it has ended.
+    """Sends goals to an action; the reply to a goal shows how it ended.
 
-    With ``plan`` and ``context`` it is one of the PLC, else one of ``backend``.
+    With ``plan`` and ``context``, the action is the PLC's, otherwise that of ``backend``.
     """
 
     def __init__(
@@ -489,11 +489,11 @@ class Goals:
 
     @property
     def ready(self) -> bool:
-        """Whether the action's server is there."""
+        """Whether the action's server is available."""
         return self._client.ready and (self._part is None or self._part.ready)
 
     def call(self, goal: bytes, on_reply: OnReply) -> None:
-        """Send a goal, with a UUID of its own; ``on_reply`` is called once, by another thread."""
+        """Send a goal with a new UUID; ``on_reply`` is called once, by another thread."""
         uuid = secrets.token_bytes(16)
         self._waiting[uuid] = on_reply
         self._client.send(uuid, goal)
@@ -513,7 +513,7 @@ class Goals:
             on_reply(reply)
 
     def close(self) -> None:
-        """Leave the PLC's objects."""
+        """Close the PLC's objects."""
         if self._part is not None:
             self._part.close()
         for node in self._nodes:
@@ -521,7 +521,7 @@ class Goals:
 
 
 class PlcService(PlcPart):
-    """A service of the PLC: all of ROS that its use sees, and the client that calls it."""
+    """A service of the PLC: the ROS side of its use, and the client that calls it."""
 
     capabilities = frozenset({"services"})
     remembers = False
@@ -539,20 +539,20 @@ class PlcService(PlcPart):
         self._on_request(payload, caller, 0)
 
     def serve(self, _service: str, _type_name: str, _qos: Qos, on_request: OnRequest) -> PlcService:
-        """As :meth:`rosplc.ros.Backend.serve`, like the rest."""
+        """As :meth:`rosplc.ros.Backend.serve`, like the other methods."""
         self._on_request = on_request
         return self
 
     def reply(self, caller: bytes, payload: bytes) -> bool:
-        """The PLC has answered."""
+        """Note the PLC's answer."""
         return self._end(caller, Reply(payload))
 
     def refuse(self, caller: bytes, text: str) -> bool:
-        """No answer comes."""
+        """Note that there will be no answer."""
         return self._end(caller, Reply(text=text))
 
     def present(self, caller: bytes) -> bool:
-        """Return whether it is a call of this replay, and not of a bridge before it."""
+        """Return whether the call belongs to this replay, and not to an earlier bridge."""
         return caller in self._waiting
 
     def _end(self, caller: bytes, reply: Reply) -> bool:
@@ -562,7 +562,7 @@ class PlcService(PlcPart):
         return on_reply is not None
 
     def status(self) -> EndpointStatus:
-        """There is one client."""
+        """Return a status with one client."""
         return self._status
 
 
@@ -595,8 +595,8 @@ def _layout(store: TypeStore, type_name: str, limits: Mapping[str, Any] | None) 
 class RosTarget(Target):
     """Publishers on ROS topics, and clients of services, over any backend.
 
-    ``topics`` is name in ROS → topic, ``distro`` names whose definitions hold on the wire, ``join`` opens the
-    backend. Raises RecordingError REC007 if the recording's definition of a type does not agree with the
+    ``topics`` is name in ROS → topic; ``distro`` is the source of the definitions on the wire; ``join`` opens
+    the backend. Raises RecordingError REC007 if the recording's definition of a type does not match the
     distribution's; BackendError ROS001, ROS002 …
     """
 
@@ -644,7 +644,7 @@ class RosTarget(Target):
             raise
 
     def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
-        """Publish a message; one that a subscriber has no room for is lost."""
+        """Publish a message; it is lost if a subscriber has no room for it."""
         return "" if self._publishers[topic].write(data, stamp_ns) else "a subscriber cannot keep up"
 
     def missing(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""What can be replayed: our own recordings, those of rosbag2, and ROS 1 bags, in order of time."""
+"""Sources for a replay: our own recordings, those of rosbag2, and ROS 1 bags, in order of time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rosplc.ros.bag import Bag
 from rosplc.ros.plain_file import unreadable_kind
 
 _OPEN_PARTS = 64
-"""Chunks that overlap in time and are put in order; a file made to hold more costs order, not memory."""
+"""Maximum number of chunks that overlap in time and are sorted; beyond it, order is lost, not memory."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class SourceTopic:
 
     @property
     def service(self) -> str:
-        """The service whose events it has; empty if it has none."""
+        """The service whose events the topic contains, or empty."""
         return service_of(self.name, self.type_name)
 
     @property
     def action(self) -> str:
-        """The action whose goals it has; empty if it has none."""
+        """The action whose goals the topic contains, or empty."""
         return action_of(self.name, self.type_name)
 
     @property
@@ -58,10 +58,10 @@ class SourceTopic:
         return self.type_name.removesuffix("_SendGoal_Event" if self.action else "_Event")
 
     def types(self, distro: str = "jazzy") -> TypeStore:
-        """Return a store that has the topic's type, as it was recorded.
+        """Return a store with the topic's type, as it was recorded.
 
-        ``distro`` names whose types hold where the recording has neither definition nor distribution. Raises
-        RecordingError REC007 if there is no definition of it, or one that cannot be used.
+        ``distro`` is the source of types if the recording has neither definition nor distribution. Raises
+        RecordingError REC007 if there is no definition, or it cannot be used.
         """
         try:
             if self.definition is not None:
@@ -86,7 +86,7 @@ class SourceTopic:
 
 @dataclass(frozen=True, slots=True)
 class SourceMessage:
-    """A message: when it was recorded and when its source sent it (ns since 1970), and its bytes."""
+    """A message: the times of recording and of sending (ns since 1970), and its bytes."""
 
     topic: str
     log_ns: int
@@ -95,7 +95,7 @@ class SourceMessage:
 
 
 class Source(ABC):
-    """A recording that is open."""
+    """An open recording."""
 
     start_ns = end_ns = 0
     notes: tuple[str, ...] = ()  # remarks on the file as a whole
@@ -106,17 +106,17 @@ class Source(ABC):
 
     @abstractmethod
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:
-        """Yield the messages with start_ns ≤ log time ≤ end_ns, in its order; REC003 where damage begins."""
+        """Yield the messages with start_ns ≤ log time ≤ end_ns, in time order; REC003 where damage begins."""
 
     def close(self) -> None:  # noqa: B027
-        """Close the file, if it is open between two reads."""
+        """Close the file, if it stays open between reads."""
 
 
 def open_source(path: Path, distro: str = "jazzy") -> Source:
     """Open an ``.mcap`` or ``.bag`` file, or the folder of a ROS 2 recording.
 
-    ``distro`` names whose types hold where the file has no definitions and names no distribution. Raises
-    RecordingError REC003 if it cannot be read, BackendError ROS006 for a recording of another kind than MCAP.
+    ``distro`` is the source of types if the file has neither definitions nor a distribution. Raises
+    RecordingError REC003 if an MCAP file cannot be read, BackendError ROS006 for other kinds of recordings.
     """
     what, remedy = unreadable_kind(path)
     if what:
@@ -138,13 +138,13 @@ class McapSource(Source):
         self.start_ns = min((part.start_ns for part in parts), default=0)
         self.end_ns = max((part.end_ns for part in parts), default=0)
         self.notes = tuple(
-            f"{found.path}: {found.problem}; only the part before this is replayed"
+            f"{found.path}: {found.problem}; only the messages before this are replayed"
             for found in self._surveys
             if not found.complete or found.damaged
         )
 
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:
-        """Read the chunks that overlap in time together."""
+        """Yield messages; chunks that overlap in time are read together."""
         waiting = [
             (part.start_ns, number, part.offset, part)
             for number, found in enumerate(self._surveys)
@@ -167,7 +167,7 @@ class McapSource(Source):
     def _run(
         self, number: int, part: Part, topics: Collection[str], start_ns: int, end_ns: int
     ) -> Iterator[Message]:
-        """Yield the wanted messages of one part in order of time; equal times stay in the file's order."""
+        """Yield the selected messages of one part in time order; equal times keep the file's order."""
         wanted = {channel for channel, name in self._names[number].items() if name in topics}
         messages = [
             one
@@ -180,7 +180,7 @@ class McapSource(Source):
             yield messages.pop()
 
     def _add(self, found: Survey) -> dict[int, str]:
-        """Note a file's topics; return channel id → topic of those that can be replayed."""
+        """Note a file's topics; return channel id → topic for those that can be replayed."""
         names = {}
         for number, channel in found.channels.items():
             name, schema = channel.topic, found.schemas.get(channel.schema_id)
@@ -234,7 +234,7 @@ def _topic(channel: Channel, schema: Schema, count: int) -> SourceTopic:
 
 
 class _BagSource(Source):
-    """A recording that rosbags reads: ROS 1 bags, and rosbag2's SQLite."""
+    """A recording read by rosbags: a ROS 1 bag, or rosbag2's SQLite format."""
 
     def __init__(self, path: Path, distro: str) -> None:
         super().__init__()

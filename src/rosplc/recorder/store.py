@@ -1,8 +1,8 @@
-"""Where chunks go: into one file or several of limited size or time, alone or as a rosbag2 folder; repair.
+"""Stores chunks in one file or in several of limited size or time, alone or as a rosbag2 folder; and repair.
 
-rosbag2's storage plugin for MCAP puts a topic's QoS into the channel's metadata, and the content of
-``metadata.yaml`` into a metadata record named ``rosbag2`` as well. Version 8 of that format is written, the
-last one with numbers for QoS policies: Humble and Iron read no other, and later releases read it too.
+rosbag2's storage plugin for MCAP stores a topic's QoS in the channel's metadata, and the content of
+``metadata.yaml`` also in a metadata record named ``rosbag2``. Version 8 of that format is written, the last
+one with numbers for QoS policies: Humble and Iron read no later version, and later releases read it, too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _AUTOMATIC = 1
 
 
 def qos_text(qos: Qos) -> str:
-    """Return ``offered_qos_profiles`` for what a topic's publisher offers."""
+    """Return ``offered_qos_profiles`` for the QoS of a topic's publisher."""
     profile = {
         "history": _KEEP_LAST,
         "depth": qos.depth,
@@ -50,9 +50,9 @@ def qos_text(qos: Qos) -> str:
 
 
 def qos_of_text(text: str) -> Qos:
-    """Return the QoS of the first publisher in ``offered_qos_profiles``, else the default.
+    """Return the QoS of the first publisher in ``offered_qos_profiles``, otherwise the default.
 
-    Only what decides who receives what is taken over: a replay may be slower than promises about time allow.
+    Deadlines and leases are not included: a replay may be slower than they allow.
     """
     try:
         profile = yaml.safe_load(text)[0]
@@ -68,7 +68,7 @@ def qos_of_text(text: str) -> Qos:
 
 
 def to_yaml(value: Any) -> str:
-    """Return YAML, without references between equal parts, which rosbag2 would not expect."""
+    """Return YAML without references between equal parts, which rosbag2 does not expect."""
     return yaml.dump(value, Dumper=_Plain, sort_keys=False, allow_unicode=True)
 
 
@@ -96,7 +96,7 @@ def dated(base: Path, time_ns: int) -> Path:
 
 
 def free_name(base: Path) -> Path:
-    """Return a base that neither a file nor a folder has; a number is put behind it if need be."""
+    """Return a base that no file or folder has; a number is appended if needed."""
     taken, number = base, 1
     while any(map(os.path.lexists, (taken, file_name(taken), file_name(taken, 0)))):
         number += 1
@@ -105,7 +105,7 @@ def free_name(base: Path) -> Path:
 
 
 def file_name(base: Path, part: int | None = None) -> Path:
-    """Return the file of a base, or one of its parts: ``base_0.mcap``."""
+    """Return the file name for a base, or for one of its parts: ``base_0.mcap``."""
     return base.with_name(f"{base.name}{'' if part is None else f'_{part}'}{SUFFIX}")
 
 
@@ -116,7 +116,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @dataclass(frozen=True)
 class Split:
-    """When a new file begins; 0 for never."""
+    """The limits at which a new file begins; 0 for none."""
 
     size: int = 0
     time_ns: int = 0
@@ -135,7 +135,7 @@ class Written:
 
     @property
     def messages(self) -> int:
-        """Messages of all topics."""
+        """Number of messages of all topics."""
         return sum(self.counts.values())
 
     def to_dict(self) -> dict[str, object]:
@@ -154,11 +154,11 @@ class Written:
 class FileStore:
     """Writes chunks into files; used by one thread at a time.
 
-    ``base`` is the file's path without ``.mcap``, or the folder's; ``bag`` makes it a folder with
-    ``metadata.yaml`` (of ``distro``), as `ros2 bag record` does. ``channels``, channel id → how files name
-    it, may grow; ``facts`` returns the metadata record: asked often, written when it changed. It and its
-    methods raise RecordingError REC001 if a file cannot be created, REC002 if the disk is full; the files
-    that there are stay readable.
+    ``base`` is the file's path without ``.mcap``, or that of the folder; ``bag`` makes it a folder with
+    ``metadata.yaml`` (of ``distro``), as `ros2 bag record` does. ``channels``, channel id → description, may
+    grow; ``facts`` returns the metadata record: called often, written when it has changed. The class and
+    its methods raise RecordingError REC001 if a file cannot be created, REC002 if the disk is full; existing
+    files stay readable.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ class FileStore:
 
     @property
     def size(self) -> int:
-        """Bytes written, all files together."""
+        """Total bytes written to all files."""
         return sum(file.size for file in self.written) + (0 if self._file is None else self._file.size)
 
     def take(self, chunk: SealedChunk) -> None:
@@ -208,12 +208,12 @@ class FileStore:
                 self._said = facts
 
     def finish(self) -> None:
-        """Finish the last file; harmless twice."""
+        """Finish the last file; a second call does nothing."""
         if self._file is not None:
             self._close(self._file)
 
     def discard(self) -> None:
-        """Remove the finished files, because nothing is in them. Raises RecordingError REC001."""
+        """Remove the finished files, which are empty. Raises RecordingError REC001."""
         with _writing(self._base):
             for one in self.written:
                 one.path.unlink()
@@ -238,7 +238,7 @@ class FileStore:
         return file
 
     def _news(self) -> dict[str, Mapping[str, str]]:
-        """Return the metadata record with facts that the file does not have yet."""
+        """Return the metadata record with facts that are not yet in the file."""
         facts = self._facts()
         return {METADATA: facts} if facts != self._said else {}
 
@@ -268,7 +268,7 @@ class FileStore:
         return {"serialized_metadata": to_yaml(self._contents([self._summary(file)], file.counts))}
 
     def _contents(self, files: list[Written], counts: Mapping[int, int]) -> dict[str, Any]:
-        """Return what ``metadata.yaml`` holds, below its only key."""
+        """Return the content of ``metadata.yaml``, below its only key."""
         channels = dict(self._channels)
         topics = [(channels[number], counts[number]) for number in sorted(channels) if number in counts]
         distros = (one.metadata.get("rosplc.distro", "") for one in channels.values())
@@ -320,7 +320,7 @@ class FileStore:
 
 
 def try_place(base: Path) -> None:
-    """Make the folder of a later file, and try to create a file in it; REC001 or REC002 as its write."""
+    """Create the folder of a later file, and try to create a file in it; REC001 or REC002 if that fails."""
     with _writing(base.parent):
         base.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=base.parent):
@@ -329,7 +329,7 @@ def try_place(base: Path) -> None:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Turn a failed write into what it means to a person: REC002 where the disk is full, else REC001."""
+    """Convert a failed write to a RecordingError: REC002 if the disk is full, otherwise REC001."""
     try:
         yield
     except OSError as error:
@@ -346,7 +346,7 @@ _REPAIR = "rosplc.repair"
 
 @dataclass(frozen=True)
 class Repaired:
-    """What was saved of a file."""
+    """The result of a repair."""
 
     path: Path  # the new file
     messages: int
@@ -356,10 +356,10 @@ class Repaired:
 
 
 def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: None) -> Repaired:
-    """Copy every message that can be read, with its topic and times, into a new and complete file.
+    """Copy every readable message, with its topic and times, into a new and complete file.
 
-    ``look`` is called now and then with the messages saved so far. Raises RecordingError REC003 if nothing of
-    the file can be read, REC001 or REC002 if the new one cannot be written.
+    ``look`` is called from time to time with the number of saved messages. Raises RecordingError REC003 if
+    nothing in the file can be read, REC001 or REC002 if the new file cannot be written.
     """
     found = survey(source, count=True)
     infos = {}
@@ -394,7 +394,7 @@ def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: N
             file.finish()
     if not file.messages:
         target.unlink()
-        what = found.problem or "it has no messages"
+        what = found.problem or "the file has no messages"
         remedy = "The file contains no complete message: use another copy, or record again."
         raise RecordingError("REC003", f"nothing to save: {what}", where=str(source), remedy=remedy)
     return Repaired(target, file.messages, topics, found.problem, len(found.damaged))

@@ -1,4 +1,4 @@
-"""The ROS side: one narrow interface, one module per middleware behind it."""
+"""The ROS side: one narrow interface, with one module per middleware."""
 
 from __future__ import annotations
 
@@ -62,22 +62,22 @@ def open_backend(
 ) -> Backend:
     """Connect to the ROS graph as one node.
 
-    ``name`` is one of :data:`BACKENDS`, or ``auto`` (:func:`choose`; the backend's ``name`` is the outcome);
-    ``domain`` None is ``ROS_DOMAIN_ID`` of the environment, else 0; ``remap`` maps topic → topic
-    (:func:`rosplc.ros.names.resolve_topic`); ``environment`` has variables in place of the process's own;
-    ``options`` are the backend's own keys of the configuration, such as ``ros.zenoh``.
+    ``name`` is one of :data:`BACKENDS`, or ``auto`` (:func:`choose`; the result is the backend's ``name``);
+    ``domain`` None means ``ROS_DOMAIN_ID`` from the environment, otherwise 0; ``remap`` maps topic → topic
+    (:func:`rosplc.ros.names.resolve_topic`); ``environment`` replaces the process's own variables;
+    ``options`` are the backend's own configuration keys, such as those of ``ros.zenoh``.
 
     Raises BackendError: ROS001 if the backend is unknown or its package is missing, ROS002 if the middleware
     refuses, ROS005 if a name breaks a rule.
     """
     if name != "auto" and name not in BACKENDS:
-        raise BackendError("ROS001", f"unknown backend {name!r}; known: auto, {', '.join(BACKENDS)}")
+        raise BackendError("ROS001", f"unknown backend {name!r}; use one of auto, {', '.join(BACKENDS)}")
     if name == "auto":
         name = choose(store.distro, environment, zenoh_settings=bool(options)).name
     try:
         module = load(name)
     except ImportError as error:
-        what = f"the package of backend {name} is not installed: {error}"
+        what = f"the package for the {name} backend cannot be imported: {error}"
         remedy = f"For {name}: {INSTALL.get(name, 'a complete rosplc')}."
         raise BackendError("ROS001", what, remedy=remedy) from error
     others = {"remap": remap, "environment": environment, "options": options, "clock": clock}
@@ -86,5 +86,5 @@ def open_backend(
 
 
 def action_classes(store: TypeStore) -> tuple[type[ActionServer], type[ActionClient]]:
-    """Return the classes of an action's server and client, for the ROS that the types are of."""
+    """Return the classes of an action's server and client for the ROS version of the types."""
     return (ActionlibServer, ActionlibClient) if store.distro == ROS1 else (ActionServer, ActionClient)

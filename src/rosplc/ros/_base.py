@@ -1,4 +1,4 @@
-"""What the backends share: a node and its endpoints, counts, delivery, calls; why a peer does not match."""
+"""The common parts of all backends: node, endpoints, counts, delivery, calls, and mismatch diagnosis."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _B = TypeVar("_B")
 
 @dataclass(frozen=True)
 class Context:
-    """What a node is opened with; see :func:`rosplc.ros.open_backend`."""
+    """The arguments for opening a node; see :func:`rosplc.ros.open_backend`."""
 
     store: TypeStore
     node_name: str
@@ -46,7 +46,7 @@ class Context:
 
 
 def opener(make: Callable[[Context], _B]) -> Callable[..., _B]:
-    """Return a backend module's ``open_backend``; it takes what :func:`rosplc.ros.open_backend` does."""
+    """Return a backend module's ``open_backend``, with the arguments of :func:`rosplc.ros.open_backend`."""
 
     def open_backend(store: TypeStore, node_name: str, *places: Any, **others: Any) -> _B:
         given = {key: value for key, value in others.items() if value is not None}
@@ -62,13 +62,13 @@ def domain_number(domain: int | None, environment: Mapping[str, str], most: int 
     if not text:
         return None
     if not text.isascii() or not text.isdigit() or len(text) > 9 or (most is not None and int(text) > most):
-        to = "or greater" if most is None else f"to {most}"
-        raise BackendError("ROS010", f"{source} is {text[:80]!r}; use an integer, 0 {to}", where=source)
+        to = "of 0 or greater" if most is None else f"from 0 to {most}"
+        raise BackendError("ROS010", f"{source} is {text[:80]!r}; use an integer {to}", where=source)
     return int(text)
 
 
 def listed(texts: Iterable[str]) -> str:
-    """Return what is wrong with several peers as one line of bounded length: names are theirs."""
+    """Join the problems of several peers into one line of bounded length: peers choose their own names."""
     unique = list(dict.fromkeys(texts))
     lines = map(one_line, unique[:MOST_REASONS])
     shown = [line if len(line) <= LONGEST_REASON else f"{line[: LONGEST_REASON - 1]}…" for line in lines]
@@ -78,13 +78,13 @@ def listed(texts: Iterable[str]) -> str:
 
 
 class LogOnce:
-    """What has been logged already; a graph that makes up names fills neither memory nor log."""
+    """Remembers what has been logged, so that a graph with invented names fills neither memory nor log."""
 
     def __init__(self) -> None:
         self._known: set[Hashable] = set()
 
     def first(self, what: Hashable) -> bool:
-        """Return whether this is to be logged now."""
+        """Return whether to log this now."""
         if what in self._known or len(self._known) >= MOST_REMEMBERED:
             return False
         self._known.add(what)
@@ -96,7 +96,7 @@ def graph_info(
     endpoints: Iterable[backend.EndpointInfo],
     services: Iterable[backend.EndpointInfo] = (),
 ) -> backend.GraphInfo:
-    """Return the graph of these nodes, endpoints and ends of services, sorted."""
+    """Return the sorted graph of these nodes, endpoints and service endpoints."""
     found, calls = (
         tuple(sorted(each, key=lambda info: (info.topic, info.direction, info.node)))
         for each in (endpoints, services)
@@ -109,17 +109,17 @@ def graph_info(
 
 
 def is_cdr(payload: bytes) -> bool:
-    """Return whether bytes begin with the header of plain CDR."""
+    """Return whether the bytes begin with a plain CDR header."""
     return len(payload) >= 4 and payload[0] == 0 and payload[1] <= 1
 
 
 def differs(ours: str, theirs: str) -> bool:
-    """Return whether two announced type hashes show different definitions; an empty one shows nothing."""
+    """Return whether two announced type hashes prove different definitions; an empty one proves nothing."""
     return bool(ours and theirs and ours != theirs)
 
 
 def is_service(type_name: str) -> bool:
-    """Return whether a type is one of a service, an action's derived ones included."""
+    """Return whether a type is a service type, including those derived from an action."""
     derived = type_name.endswith(("_SendGoal", "_GetResult"))
     part = type_name.endswith(("_Request", "_Response"))
     return not part and ("/srv/" in type_name or ("/action/" in type_name and derived))
@@ -139,7 +139,7 @@ def explain(
     *,
     matched: bool = False,
 ) -> Problem | None:
-    """Return what is wrong between a peer and our endpoint of the other direction; None if not known."""
+    """Return why a peer and our endpoint of the other direction do not match; None if not known."""
     # The peer is called ``name``, or by its node. What the middleware has ``matched`` has settings that fit.
     does = describe(peer, name)
     if peer.type_name != ours.type_name:
@@ -159,13 +159,13 @@ def _short(type_hash: str) -> str:
 
 
 def queue_of(qos: backend.Qos) -> backend.Qos:
-    """Return a service's settings with room for what arrives between two looks of the receive thread."""
+    """Return a service's settings, with room for what arrives between two polls of the receive thread."""
     # The profile's depth of 10 would lose the rest of a burst without a trace; peers do not see the depth.
     return replace(qos, depth=max(qos.depth, 1000))
 
 
 class BaseEndpoint:
-    """An endpoint's counts and its end; ``type_hash`` is empty if there is none to compare."""
+    """The counts and the closing of an endpoint; ``type_hash`` is empty if there is none to compare."""
 
     direction: Literal["in", "out"]
     peer_does: str  # what a node does that this endpoint exchanges messages with
@@ -184,31 +184,31 @@ class BaseEndpoint:
 
     @property
     def matched(self) -> int:
-        """Peers that exchange messages with this endpoint."""
+        """Number of peers that exchange messages with this endpoint."""
         return 0 if self.closed else self._matched()
 
     def _matched(self) -> int:
         raise NotImplementedError
 
     def _problem(self) -> Problem:
-        """Return what keeps peers from matching; empty texts if all is well."""
+        """Return what prevents peers from matching; empty texts if there is no problem."""
         found: Problem = self._node.diagnose(self)
         return found
 
     def _losses(self) -> int:
-        """Return messages that the middleware lost on the way, as far as it tells."""
+        """Return the number of messages that the middleware reported as lost."""
         return 0
 
     def _late(self) -> int:
-        """Return how often a promised deadline passed without a message."""
+        """Return how often a promised deadline was missed."""
         return 0
 
     def _unfit(self) -> int:
-        """Return messages that the middleware refused since their bytes do not fit the type."""
+        """Return the number of messages that the middleware refused because they do not fit the type."""
         return 0
 
     def status(self) -> backend.EndpointStatus:
-        """Return the present state."""
+        """Return the current state."""
         if self.closed:
             matched, code, reason, losses, late = 0, "ROS009", "closed", 0, 0
         else:
@@ -224,7 +224,7 @@ class BaseEndpoint:
         )  # fmt: skip
 
     def reject(self, error: object) -> None:
-        """Count a message that no ROS node sends."""
+        """Count a message that is not a valid ROS message."""
         with self._lock:
             self._rejected += 1
             first = self._rejected == 1
@@ -233,7 +233,7 @@ class BaseEndpoint:
         self._node.logger.log(level, "%s: a message was refused: %s", self.topic, str(error))
 
     def _hand_over(self, receiver: Callable[..., object], *arguments: object) -> None:
-        """Call what receives; nothing that it raises escapes."""
+        """Call the receiver; its exceptions are caught."""
         try:
             receiver(*arguments)
         except Exception:
@@ -242,9 +242,9 @@ class BaseEndpoint:
                 self._node.logger.exception("%s: processing a received message failed", self.topic)
 
     def _checked(self, payload: bytes) -> bytes:
-        """Return a message padded to whole words; ROS008 if it has no header of plain CDR."""
+        """Return a message padded to whole words; ROS008 if it has no plain CDR header."""
         if not is_cdr(payload):
-            raise self._refusal("it has no plain CDR header")
+            raise self._refusal("no plain CDR header")
         return bytes(payload) + _PADDING[-len(payload) & 3]
 
     def _refusal(self, why: str) -> BackendError:
@@ -256,7 +256,7 @@ class BaseEndpoint:
         return BackendError("ROS009", f"the {self.kind} of {self.topic} is closed")
 
     def close(self) -> None:
-        """Stop sending or receiving; closing twice is harmless."""
+        """Stop sending or receiving; a second call does nothing."""
         with self._lock:
             if self.closed:
                 return
@@ -267,7 +267,7 @@ class BaseEndpoint:
 
 
 class BaseSubscription(BaseEndpoint):
-    """A topic being received; see :class:`rosplc.ros.backend.Subscription`."""
+    """A subscription; see :class:`rosplc.ros.backend.Subscription`."""
 
     direction: Literal["in"] = "in"
     peer_does = "publishes"
@@ -278,7 +278,7 @@ class BaseSubscription(BaseEndpoint):
         self._on_message = on_message
 
     def _deliver(self, payload: bytes, stamp_ns: int) -> None:
-        """Hand over one message, and count it; nothing that the receiver raises escapes."""
+        """Deliver one message and count it; exceptions of the receiver are caught."""
         self._messages += 1
         self._last_ns = self._clock.time_ns()
         self._hand_over(self._on_message, payload, stamp_ns or self._last_ns)
@@ -299,7 +299,7 @@ class Queued(BaseEndpoint):
         self._room = MOST_CALLERS if self.serves else self.qos.depth
 
     def _put(self, *message: Any) -> bool:
-        """Queue what :meth:`_take` gets; return False if the oldest gave way. The lock is held."""
+        """Queue arguments for :meth:`_take`; return False if the oldest were dropped. The lock is held."""
         self._waiting.append(message)
         if len(self._waiting) <= self._room:
             return True
@@ -311,7 +311,7 @@ class Queued(BaseEndpoint):
         raise NotImplementedError
 
     def deliver_next(self) -> bool:
-        """Hand over one message, if any waits; called by the receive thread alone."""
+        """Deliver one waiting message, if any; called only by the receive thread."""
         with self._delivering:
             with self._lock:
                 if self.closed or not self._waiting:
@@ -321,7 +321,7 @@ class Queued(BaseEndpoint):
             return True
 
     def close(self) -> None:
-        """Stop receiving; after the return no callback runs or starts (unless called from it)."""
+        """Stop receiving; after this returns, no callback runs, unless this was called from it."""
         super().close()
         with self._delivering:
             self._waiting.clear()
@@ -334,7 +334,7 @@ class QueuedSubscription(Queued, BaseSubscription):
 
 
 class BasePublisher(BaseEndpoint):
-    """A topic being sent; see :class:`rosplc.ros.backend.Publisher`."""
+    """A publisher; see :class:`rosplc.ros.backend.Publisher`."""
 
     direction: Literal["out"] = "out"
     peer_does = "subscribes to"
@@ -360,7 +360,7 @@ class BasePublisher(BaseEndpoint):
 
 
 class KeepingServer(BaseEndpoint):
-    """A service being provided; keeps what the backend needs of a caller until it answers or refuses."""
+    """A service server; keeps a caller's data until the call is answered or refused."""
 
     direction: Literal["in"] = "in"
     peer_does = "calls"
@@ -375,11 +375,11 @@ class KeepingServer(BaseEndpoint):
         self._life, self._numbers = os.urandom(8), itertools.count(1)
 
     def new_caller(self) -> bytes:
-        """Return the 16 bytes of a new caller, where nothing else identifies it."""
+        """Return the 16-byte id of a new caller that has no other identification."""
         return self._life + next(self._numbers).to_bytes(8, "little")
 
     def _take(self, payload: bytes, caller: bytes, stamp_ns: int, origin: Any) -> None:
-        """Hand over one request; ``origin`` is what :meth:`_answer` needs."""
+        """Deliver one request; ``origin`` is passed to :meth:`_answer`."""
         with self._lock:
             self._callers[caller] = origin
             too_many = len(self._callers) > MOST_CALLERS
@@ -394,18 +394,18 @@ class KeepingServer(BaseEndpoint):
                 self._hand_over(self._on_request, payload, caller, stamp_ns)
 
     def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
-        """Send a response to a caller that waits, without the lock; False if it has gone meanwhile."""
+        """Send a response to a waiting caller, without the lock; False if the caller is gone."""
         raise NotImplementedError
 
     def _waits(self, caller: bytes, origin: Any) -> bool:
-        """Return whether a caller still waits; without ``origin`` only where ``remembers`` is set."""
+        """Return whether a caller is still waiting; ``origin`` is missing only if ``remembers`` is set."""
         return True
 
     def _present(self, caller: bytes, origin: Any) -> bool:
         return (origin is not None or self.remembers) and self._waits(caller, origin)
 
     def _drop(self, origin: Any) -> None:
-        """Tell a caller, without the lock, that no response comes; ROS 2 has no way to do so."""
+        """Tell a caller, without the lock, that no response will follow; ROS 2 does not support this."""
 
     def reply(self, caller: bytes, payload: bytes) -> bool:
         """Send a response; see :meth:`rosplc.ros.backend.ServiceServer.reply`."""
@@ -429,12 +429,12 @@ class KeepingServer(BaseEndpoint):
             return not self.closed and self._present(caller, origin)
 
     def present(self, caller: bytes) -> bool:
-        """Return whether a caller still waits, as far as the middleware knows."""
+        """Return whether a caller is still waiting, as far as the middleware knows."""
         with self._lock:
             return not self.closed and self._present(caller, self._callers.get(caller))
 
     def close(self) -> None:
-        """Stop serving; after the return no callback runs or starts (unless called from it)."""
+        """Stop serving; after this returns, no callback runs, unless this was called from it."""
         super().close()
         with self._delivering, self._lock:
             dropped, self._callers = self._callers, OrderedDict()
@@ -443,12 +443,12 @@ class KeepingServer(BaseEndpoint):
 
 
 _call_numbers = itertools.count(1)  # of this process: a client that is opened again repeats none
-NO_SERVER = backend.Reply(None, "not executed", Reason.NO_SERVER, "no available server is known")
-SERVER_GONE = backend.Reply(None, "fate unknown", Reason.SERVER_GONE, "the server is gone")
+NO_SERVER = backend.Reply(None, "not executed", Reason.NO_SERVER, "no server is available")
+SERVER_GONE = backend.Reply(None, "fate unknown", Reason.SERVER_GONE, "the server went offline")
 
 
 class BaseClient(BaseEndpoint):
-    """A service being called; what a backend needs of a call is in ``calls``, beside its ``on_reply``."""
+    """A service client; ``calls`` has the backend's data and the ``on_reply`` of each call."""
 
     direction: Literal["out"] = "out"
     peer_does = "serves"
@@ -462,11 +462,11 @@ class BaseClient(BaseEndpoint):
 
     @property
     def ready(self) -> bool:
-        """Whether a matching server is known now whose responses can be read."""
+        """Whether a matching server, whose responses can be read, is known now."""
         return self.matched > 0
 
     def end(self, number: int, reply: backend.Reply) -> None:
-        """End a call, unless it has ended or is forgotten; nothing that the receiver raises escapes."""
+        """End a call, unless it has ended or is forgotten; exceptions of the receiver are caught."""
         with self._delivering:
             with self._lock:
                 on_reply, _ = self.calls.pop(number, (None, None))
@@ -482,7 +482,7 @@ class BaseClient(BaseEndpoint):
         raise NotImplementedError
 
     def _send(self, number: int, payload: bytes) -> backend.Reply | None:
-        """Send a request, without the lock; return how the call has ended if it was not sent."""
+        """Send a request, without the lock; return the end of the call if it was not sent."""
         raise NotImplementedError
 
     def call(self, payload: bytes, on_reply: backend.OnReply) -> int:
@@ -510,7 +510,7 @@ class BaseClient(BaseEndpoint):
         return number
 
     def gone(self, *servers: Any) -> None:
-        """End the calls that no other servers have received than these, which are no more."""
+        """End the calls that only these servers, which are gone, have received."""
         with self._lock:
             affected = [number for number, (_, receivers) in self.calls.items() if receivers & set(servers)]
             for number in affected:
@@ -520,19 +520,19 @@ class BaseClient(BaseEndpoint):
             self.end(number, SERVER_GONE)
 
     def end_orphans(self, servers: Collection[Any]) -> None:
-        """End the calls that no other servers have received than such as are not among these any more."""
+        """End the calls that were received only by servers that are no longer among these."""
         with self._lock:
             called = set().union(*(receivers for _, receivers in self.calls.values()))
         if dead := called.difference(servers):
             self.gone(*dead)
 
     def forget(self, number: int) -> None:
-        """Wait no longer for a call."""
+        """Stop waiting for a call."""
         with self._lock:
             self.calls.pop(number, None)
 
     def close(self) -> None:
-        """End every open call with ``fate unknown``; afterwards no callback runs or starts."""
+        """End every open call with ``fate unknown``; after that, no callback runs."""
         super().close()
         with self._delivering:
             for number in tuple(self.calls):
@@ -540,20 +540,20 @@ class BaseClient(BaseEndpoint):
 
 
 class Opener:
-    """A backend's methods that open endpoints."""
+    """The methods of a backend that open endpoints."""
 
     _kinds: tuple[Any, ...]  # the classes of its subscriptions, publishers, servers and clients
 
     def _open(self, kind: Any, topic: str, type_name: str, qos: backend.Qos, *receiver: Any) -> Any:
-        """Open an endpoint of one of these classes, and keep it."""
+        """Open an endpoint of this class, and register it."""
         raise NotImplementedError
 
     def subscribe(self, topic: str, type_name: str, qos: backend.Qos, on_message: backend.OnMessage) -> Any:
-        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+        """Subscribe to a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
         return self._open(self._kinds[0], topic, type_name, qos, on_message)
 
     def advertise(self, topic: str, type_name: str, qos: backend.Qos) -> Any:
-        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
+        """Advertise a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
         return self._open(self._kinds[1], topic, type_name, qos)
 
     def serve(self, service: str, type_name: str, qos: backend.Qos, on_request: backend.OnRequest) -> Any:
@@ -568,7 +568,7 @@ class Opener:
 class BaseNode(Opener):
     """A node's names, types, endpoints and receive thread; its full name is ``node``.
 
-    Raises BackendError ROS001 if the types are those of the other ROS, ROS005 for a bad name.
+    Raises BackendError ROS001 if the types are for the other ROS version, ROS005 for an invalid name.
     """
 
     name: str
@@ -592,7 +592,7 @@ class BaseNode(Opener):
         self._since: dict[Hashable, int] = {}
 
     def _resolve(self, topic: str, type_name: str) -> tuple[str, str]:
-        """Return the full names of topic, type; raises ROS009 after close, ROS005 (name), TYP001 (type)."""
+        """Return the full names of topic and type; raises ROS009 (closed), ROS005 (name), TYP001 (type)."""
         self._usable()
         full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
         if not is_service(type_name):
@@ -614,7 +614,7 @@ class BaseNode(Opener):
             return tuple(self._endpoints)
 
     def forget(self, endpoint: Any) -> None:
-        """Take in that an endpoint is being closed; called by it, once."""
+        """Note that an endpoint is being closed; called by the endpoint, once."""
         with self._lock:
             if endpoint in self._endpoints:
                 self._endpoints.remove(endpoint)
@@ -626,7 +626,7 @@ class BaseNode(Opener):
     # -- what is wrong
 
     def _judge(self, endpoint: Any) -> tuple[bool, Iterable[Problem | None]]:
-        """Return whether an endpoint has peers, and what is wrong with them, None for nothing."""
+        """Return whether an endpoint has peers, and their problems; None for no problem."""
         raise NotImplementedError
 
     def _other_servers(self, endpoint: Any) -> list[str]:
@@ -634,7 +634,7 @@ class BaseNode(Opener):
         return []
 
     def diagnose(self, endpoint: Any) -> Problem:
-        """Return what keeps peers from matching an endpoint; empty texts if all is well."""
+        """Return what prevents peers from matching an endpoint; empty texts if there is no problem."""
         peers, found = self._judge(endpoint)
         problems = [*filter(None, found)]
         if endpoint.serves:
@@ -647,7 +647,7 @@ class BaseNode(Opener):
         return "", "" if peers else f"no node {endpoint.peer_does} {endpoint.topic}"
 
     def _warn(self, endpoint: Any) -> None:
-        """Log once what keeps peers from matching an endpoint."""
+        """Log once what prevents peers from matching an endpoint."""
         code, reason = self.diagnose(endpoint)
         with self._lock:
             first = code and self._logged.first((endpoint.kind, endpoint.topic, reason))
@@ -655,7 +655,7 @@ class BaseNode(Opener):
             self.logger.warning("%s [%s]", reason, code)
 
     def _settling(self, key: Hashable, ns: int = SETTLE_NS) -> bool:
-        """Return whether less time than ``ns`` has passed since this was first asked about a key."""
+        """Return whether less than ``ns`` has passed since the first call for this key."""
         now = self.clock.monotonic_ns()
         return now - self._since.setdefault(key, now) < ns
 
@@ -670,10 +670,10 @@ class BaseNode(Opener):
             self._thread.join()
 
     def _stop(self) -> None:
-        """End what may call endpoints that are about to be closed."""
+        """Stop everything that could call endpoints that are about to be closed."""
 
     def _leave(self) -> None:
-        """Give everything back, after the endpoints are closed."""
+        """Release all resources, after the endpoints are closed."""
 
     def close(self) -> None:
         """Leave the graph; see :meth:`rosplc.ros.backend.Backend.close`."""
@@ -688,7 +688,7 @@ class BaseNode(Opener):
 
 
 def check_ros(name: str, store: TypeStore, *, ros1: bool = False) -> None:
-    """Refuse (ROS001) types of the other ROS."""
+    """Refuse (ROS001) types of the other ROS version."""
     if (store.distro == "noetic") is not ros1:
         its, theirs, to = ("ROS 1", "ROS 2", "noetic") if ros1 else ("ROS 2", "ROS 1", "a ROS 2 distribution")
         what = f"the {name} backend is for {its}; {store.distro or 'this type store'} is {theirs}"

@@ -1,11 +1,11 @@
 """Actions of ROS 1 over any backend: the five topics of actionlib, http://wiki.ros.org/actionlib.
 
-A goal has a text there, and 16 bytes here. The client writes these as 32 hexadecimal digits. The server reads
-such digits, takes a text of up to 16 bytes as it is, and a digest of a longer one, as most clients make; it
-remembers the text with the goal. A server in another process that adopts the goal needs the text, too: see
-:meth:`ActionServer.note`.
+actionlib identifies a goal by a text, this module by 16 bytes. The client writes these as 32 hexadecimal
+digits. The server reads such digits, uses a text of up to 16 bytes as it is, and hashes a longer text, which
+is usual; it stores the text with the goal. A server in another process that adopts the goal needs the text,
+too: see :meth:`ActionServer.note`.
 
-A result is published once, and the last one given to clients that connect later, as after a server's restart.
+A result is published once. Clients that connect later, such as after a server's restart, get the last one.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rosplc.ros.goals import GoalInfo, GoalStatus
 LONGEST_ID = 1024  # bytes of a goal's text
 _PATIENCE_NS = 10_000_000_000  # for a goal that the server does not list, or a result that does not come
 _QOS = Qos(depth=100)
-_UNLISTED = Reply(reason=Reason.SERVER_GONE, text="the server does not list the goal")
+_UNLISTED = Reply(reason=Reason.SERVER_GONE, text="the goal is not in the server's status list")
 _LIST, _ID = "actionlib_msgs/msg/GoalStatusArray", "actionlib_msgs/msg/GoalID"
 _HEX = re.compile(rb"[0-9a-f]{32}\Z")
 
@@ -56,7 +56,7 @@ def uuid_of(text: bytes) -> bytes:
 
 
 def text_of(uuid: bytes) -> bytes:
-    """Return the text of a goal, as far as its 16 bytes tell it."""
+    """Return the text of a goal, as far as it can be derived from the 16 bytes."""
     text = uuid.rstrip(b"\0")
     return text if text.isascii() and text.decode().isprintable() else uuid.hex().encode()
 
@@ -74,7 +74,7 @@ def _header(now_ns: int) -> bytes:
 
 
 def _topic(action: str, type_name: str, name: str, kind: str) -> tuple[str, str]:
-    """Return name and type of a topic; an action's own types have its name before them."""
+    """Return the name and type of a topic; the action's own types have its type name as a prefix."""
     own = type_name.replace("/action/", "/msg/")
     return f"{action}/{name}", kind if "/" in kind else own + kind
 
@@ -83,22 +83,22 @@ def _read_id(goal_id: Mapping[str, Any]) -> GoalInfo:
     """Return a goal's text, and its stamp; ROS008 if the text is too long."""
     text, stamp = goal_id["id"].encode(errors="surrogateescape"), goal_id["stamp"]
     if len(text) > LONGEST_ID:
-        raise BackendError("ROS008", f"a goal's id has {len(text)} bytes; the limit is {LONGEST_ID}")
+        raise BackendError("ROS008", f"a goal ID has {len(text)} bytes; the limit is {LONGEST_ID}")
     return text, stamp["sec"] % 2**32 * 10**9 + stamp["nanosec"]
 
 
 def _read_status(status: Mapping[str, Any]) -> tuple[bytes, int, str]:
-    """Return a goal's UUID, its status, and what the server says of it."""
+    """Return a goal's UUID, its status, and the server's text about it."""
     words = status["text"][:LONGEST_ID].encode(errors="surrogateescape").decode(errors="replace")
     return uuid_of(_read_id(status["goal_id"])[0]), status["status"], words
 
 
 class ActionlibServer(ActionServer):
-    """An action that clients of actionlib use; see :class:`rosplc.ros.actions.ActionServer`.
+    """An action for actionlib clients; see :class:`rosplc.ros.actions.ActionServer`.
 
-    ``on_cancel`` is called of undecided goals, too: one rejected then counts as recalled; for one accepted it
-    is called again. A cancel that is rejected goes unanswered: actionlib has no word for it.
-    Nothing is listed before the first :meth:`tick` or goal, lest a goal to be adopted is missing.
+    ``on_cancel`` is also called for undecided goals: if such a goal is rejected, it counts as recalled; if it
+    is accepted, ``on_cancel`` is called again. actionlib has no answer for a rejected cancel request.
+    No status is published before the first :meth:`tick` or goal, so that no adopted goal is missing.
     """
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
@@ -208,11 +208,11 @@ class ActionlibServer(ActionServer):
         return accepted
 
     def present(self, uuid: bytes) -> bool:
-        """Return whether a goal waits for a decision: of its client nothing is known."""
+        """Return whether a goal waits for a decision: nothing is known about its client."""
         return self._undecided(uuid) is not None
 
     def tick(self) -> None:
-        """Forget what ended long ago, and publish the statuses: clients wait for them."""
+        """Forget goals that ended long ago, and publish the statuses, which clients wait for."""
         super().tick()
         with self._lock:
             before = self._clock.monotonic_ns() - self._keep_ns
@@ -222,10 +222,10 @@ class ActionlibServer(ActionServer):
 
 
 class ActionlibClient(ActionClient):
-    """An action of a server of actionlib that is used; see :class:`rosplc.ros.actions.ActionClient`.
+    """A client of an actionlib action; see :class:`rosplc.ros.actions.ActionClient`.
 
-    A recalled goal counts as rejected. There is no event ``not canceled``, and no ``lost``: a goal that the
-    server no longer lists has the result UNKNOWN, one whose result was missed its status without a payload.
+    A recalled goal counts as rejected. The events ``not canceled`` and ``lost`` do not exist: a goal that the
+    server no longer lists gets the result UNKNOWN; if a result was missed, it has the status but no payload.
     """
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
@@ -250,17 +250,17 @@ class ActionlibClient(ActionClient):
             self._tell(uuid, "failed", reply=NO_SERVER, last=True)
 
     def _seek(self, uuid: bytes) -> None:
-        """Wait for the next list: nothing can be asked."""
+        """Wait for the next status list: there is no request for a status."""
 
     def cancel(self, uuid: bytes) -> None:
-        """Ask for a goal to be canceled."""
+        """Request that a goal be canceled."""
         if uuid in self._goals:
             self._cancel.write(_goal_id(uuid.hex().encode()))
 
     # -- what comes
 
     def _learn(self, uuid: bytes, number: int, words: str) -> None:
-        """Take in what the server says of a goal; messages of several topics come in any order."""
+        """Process the server's status of a goal; messages of different topics arrive in any order."""
         with self._lock:
             sent = self._goals.get(uuid)
             if sent is None or number > _RECALLED or _rank(number) <= _rank(sent.number):

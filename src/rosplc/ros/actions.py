@@ -1,11 +1,11 @@
-"""Actions over any backend: of what ROS 2 makes three services and two topics, server and client.
+"""Servers and clients of ROS 2 actions over any backend; an action is three services and two topics.
 
-rclpy has an action server of its own, but it can neither answer for goals that another process has accepted
-nor leave the decision on a goal open; no other backend has one. Here a goal is known by its UUID alone, and a
-process that knows it can adopt the goal.
+rclpy has its own action server, but that can neither answer for goals that another process has accepted
+nor leave the decision on a goal open; no other backend has one. Here, a goal is identified by its UUID alone,
+so any process that has the UUID can adopt the goal.
 
 Threads: every method may be called from any thread. The receivers are called from the backend's threads; they
-must not block, and may call any method. Nothing here runs by itself: see :meth:`ActionServer.tick`.
+must not block, and may call any method. Nothing here has its own thread: see :meth:`ActionServer.tick`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _ALL = bytes(16)
 
 @dataclass(slots=True)
 class Cancel:
-    """A request to cancel: the goals that have not decided, and those that have agreed."""
+    """A request to cancel: the goals without a decision, and those that are being canceled."""
 
     caller: bytes
     undecided: set[bytes]
@@ -89,7 +89,7 @@ class _Action:
         return endpoint
 
     def _place(self, name: str, kind: str) -> tuple[str, str]:
-        """Return name and type of a topic or service; the type is given in full, or by its part."""
+        """Return the name and type of a topic or service; ``kind`` is a full type name or a part."""
         return f"{self.action}/_action/{name}", kind if "/" in kind else f"{self.type_name}_{kind}"
 
     def endpoints(self) -> tuple[side.EndpointStatus, ...]:
@@ -97,30 +97,30 @@ class _Action:
         return tuple(endpoint.status() for endpoint in self._endpoints)
 
     def close(self) -> None:
-        """Leave the graph; no goal is ended, and who waits for a decision or a result gets none."""
+        """Leave the graph; no goal is ended, and clients that wait for a decision or a result get none."""
         for endpoint in reversed(self._endpoints):
             endpoint.close()
 
 
 class ActionServer(_Action):
-    """An action that ROS clients use. Methods return False, and do nothing, for a step that is not possible.
+    """An action for ROS clients. Methods return False, and do nothing, if a step is not possible.
 
     Args:
-        backend: A backend of the ROS that the types are of.
-        store: Where the types come from.
+        backend: A backend for the ROS version of the types.
+        store: The source of the types.
         action: The action's name.
         type_name: ``package/action/Name``.
-        on_goal: Called with UUID and goal: decide with :meth:`accept` or :meth:`reject`.
-        on_cancel: Called with the UUID of a goal that is to be canceled: decide with :meth:`accept_cancel` or
-            :meth:`reject_cancel`.
+        on_goal: Called with a UUID and goal: decide with :meth:`accept` or :meth:`reject`.
+        on_cancel: Called with the UUID of a goal that a client wants to cancel: decide with
+            :meth:`accept_cancel` or :meth:`reject_cancel`.
         keep_result_ns: How long a goal and its result are kept after its end.
-        executing: Goals that another process has accepted, when, in ns since 1970, and its :meth:`note`: they
-            are adopted before the first request comes.
+        executing: Goals that another process has accepted, each with the time (ns since 1970) and its
+            :meth:`note`: they are adopted before the first request arrives.
         clock: For tests.
 
     Attributes:
-        refused: How many goals ``on_goal`` was not told of, and why: there were too many, they were canceled
-            before they came, or cannot be read.
+        refused: Number of goals that were not passed to ``on_goal``, by reason: there were too many, or they
+            were canceled before they arrived, or they cannot be read.
 
     Raises:
         BackendError, MessageTypeError: As :meth:`rosplc.ros.backend.Backend.serve`.
@@ -183,7 +183,7 @@ class ActionServer(_Action):
             self._on_goal(uuid, goal)
 
     def _make_room(self) -> None:
-        """Forget the oldest goal that has ended, if there are too many."""
+        """Forget the oldest ended goal if there are too many goals."""
         if len(self._goals) >= MOST_GOALS:
             ended = (one for one, goal in self._goals.items() if goal.status.ended)
             self._goals.pop(next(ended, b""), None)
@@ -226,7 +226,7 @@ class ActionServer(_Action):
             self._on_cancel(one)
 
     def _chosen(self, uuid: bytes, stamp_ns: int) -> tuple[CancelCode, list[bytes]]:
-        """Return the goals that a request is about, as rcl_action_process_cancel_request."""
+        """Return the goals that a cancel request concerns, as rcl_action_process_cancel_request does."""
         if uuid != _ALL and not stamp_ns:
             if (goal := self._known(uuid)) is None:
                 return CancelCode.UNKNOWN_GOAL_ID, []
@@ -257,12 +257,12 @@ class ActionServer(_Action):
             self._statuses.write(self._messages.pack_statuses(goals))
 
     def _decided(self, uuid: bytes, goal: Goal, accepted: bool) -> None:
-        """Tell the client of a goal whether it is accepted."""
+        """Tell a goal's client whether the goal is accepted."""
         goal.stamp_ns = self._clock.time_ns() if accepted else 0
         self._answer(self._send, goal.caller, self._messages.pack_accepted(accepted, goal.stamp_ns))
 
     def _ended(self, uuid: bytes, goal: Goal, status: GoalStatus, result: bytes | None) -> None:
-        """Give the result to those who wait for it; ROS008 if the bytes are none."""
+        """Send the result to the clients that wait for it; ROS008 if the bytes are not a result."""
         response = self._messages.pack_result(status, result)
         for caller in goal.waiting:
             self._answer(self._get, caller, response)
@@ -300,18 +300,18 @@ class ActionServer(_Action):
             return goal is not None and self._send.present(goal.caller)
 
     def note(self, uuid: bytes) -> bytes:
-        """Return what else another process has to know to adopt a goal, at most 1024 bytes."""
+        """Return the further data that another process needs to adopt a goal, at most 1024 bytes."""
         with self._lock:
             goal = self._goals.get(uuid)
             return b"" if goal is None else b"".join(goal.waiting)
 
     def _noted(self, note: bytes, stamp_ns: int, status: GoalStatus = GoalStatus.EXECUTING) -> Goal:
-        """Return the goal of another process's note."""
+        """Return the goal described by another process's note."""
         waiting = [note[at : at + 16] for at in range(0, len(note) - 15, 16)]
         return Goal(b"", stamp_ns, status, waiting=waiting)
 
     def adopt(self, uuid: bytes, stamp_ns: int, status: GoalStatus, note: bytes = b"") -> bool:
-        """Take over a goal that another process has accepted at a time, and not ended."""
+        """Adopt a goal that another process accepted at the given time and has not ended."""
         with self._lock:
             if uuid in self._goals or status is GoalStatus.UNKNOWN or status.ended:
                 return False
@@ -320,16 +320,16 @@ class ActionServer(_Action):
             return True
 
     def status(self, uuid: bytes) -> GoalStatus:
-        """Return the state of a goal; UNKNOWN before it is accepted and after it was forgotten."""
+        """Return the state of a goal; UNKNOWN before it is accepted and after it is forgotten."""
         goal = self._goals.get(uuid)
         return GoalStatus.UNKNOWN if goal is None else goal.status
 
     def execute(self, uuid: bytes) -> bool:
-        """Begin to execute a goal that was accepted."""
+        """Start to execute an accepted goal."""
         return self._step(uuid, GoalStep.EXECUTE)
 
     def feedback(self, uuid: bytes, payload: bytes) -> bool:
-        """Publish feedback of a goal that is executed; False, too, if the middleware refuses it."""
+        """Publish feedback of an executing goal; also returns False if the middleware refuses it."""
         with self._lock, contextlib.suppress(BackendError):
             goal = self._known(uuid)
             if goal is not None and not goal.status.ended:
@@ -337,16 +337,16 @@ class ActionServer(_Action):
         return False
 
     def accept_cancel(self, uuid: bytes, *, asked: bool = False) -> bool:
-        """Agree to cancel a goal: it is canceling until it ends in one of three ways.
+        """Agree to cancel a goal: its state is canceling until it ends in one of three ways.
 
-        ``asked``: the request came to the process that the goal was adopted from.
+        ``asked``: the request was sent to the process from which the goal was adopted.
         """
         with self._lock:
             goal = self._known(uuid)
             return goal is not None and (asked or bool(goal.cancels)) and self._step(uuid, GoalStep.CANCEL)
 
     def reject_cancel(self, uuid: bytes) -> bool:
-        """Go on with a goal that was to be canceled."""
+        """Refuse to cancel a goal, and continue it."""
         with self._lock:
             goal = self._known(uuid)
             if goal is None or not goal.cancels:
@@ -355,15 +355,15 @@ class ActionServer(_Action):
             return True
 
     def succeed(self, uuid: bytes, result: bytes) -> bool:
-        """End a goal with success; raises ROS008 if the bytes are no result."""
+        """End a goal successfully; raises ROS008 if the bytes are not a result."""
         return self._step(uuid, GoalStep.SUCCEED, result)
 
     def abort(self, uuid: bytes, result: bytes | None = None) -> bool:
-        """End a goal without success, with the default result for None; raises as :meth:`succeed`."""
+        """Abort a goal; ``result`` None: the default result. Raises as :meth:`succeed`."""
         return self._step(uuid, GoalStep.ABORT, result)
 
     def canceled(self, uuid: bytes, result: bytes | None = None) -> bool:
-        """End a goal that is canceling; as :meth:`abort`."""
+        """End a canceling goal as canceled; otherwise as :meth:`abort`."""
         return self._step(uuid, GoalStep.CANCELED, result)
 
     def _step(self, uuid: bytes, step: GoalStep, result: bytes | None = None) -> bool:
@@ -382,7 +382,7 @@ class ActionServer(_Action):
             return True
 
     def _settle(self, uuid: bytes, goal: Goal, *, agreed: bool) -> None:
-        """Tell those who asked for a goal to be canceled."""
+        """Answer the clients that asked for a goal to be canceled."""
         requests, goal.cancels = goal.cancels, []
         for request in requests:
             self._decide(uuid, request, agreed)
@@ -398,7 +398,7 @@ class ActionServer(_Action):
     # -- the rest
 
     def tick(self) -> None:
-        """Forget the goals that ended long ago; to be called now and then."""
+        """Forget goals that ended long ago; call this from time to time."""
         with self._lock:
             before = self._clock.monotonic_ns() - self._keep_ns
             old = [one for one, goal in self._goals.items() if goal.status.ended and goal.ended_ns <= before]
@@ -410,7 +410,7 @@ class ActionServer(_Action):
 
 @dataclass(frozen=True, slots=True)
 class GoalEvent:
-    """What has become of a goal that was sent."""
+    """An event of a goal that was sent."""
 
     uuid: bytes  # the goal
     # ``accepted``, or ``rejected`` and forgotten; ``failed``: nothing is known of the acceptance;
@@ -429,7 +429,7 @@ class GoalEvent:
 
 @dataclass(slots=True)
 class Sent:
-    """A goal of the client, its open calls, and what lists of statuses tell of it (of actionlib)."""
+    """A client's goal, its open calls, and its state in status lists (actionlib)."""
 
     since_ns: int  # when it was sent or adopted, or ended without a result
     adopted: bool = False
@@ -440,11 +440,11 @@ class Sent:
 
 
 class ActionClient(_Action):
-    """An action of a ROS server that is used.
+    """A client of a ROS action.
 
     Args:
         backend, store, action, type_name: As of :class:`ActionServer`.
-        on_event: Called with what becomes of the goals. A status may come before the acceptance.
+        on_event: Called with the events of the goals. A status may arrive before the acceptance.
         clock: For tests.
 
     Raises:
@@ -478,11 +478,11 @@ class ActionClient(_Action):
 
     @property
     def ready(self) -> bool:
-        """Whether the services of a server are known."""
+        """Whether all services of a server are known."""
         return all(service.ready for service in self._services)
 
     def send(self, uuid: bytes, goal: bytes) -> bool:
-        """Send a goal; False if one of this UUID is known already. Raises as ServiceClient.call."""
+        """Send a goal; False if a goal with this UUID is already known. Raises as ServiceClient.call."""
         with self._lock:
             if uuid in self._goals:
                 return False
@@ -498,7 +498,7 @@ class ActionClient(_Action):
         self._call(_SEND, uuid, wrap(uuid, goal), self._messages.read_accepted, self._on_decision)
 
     def adopt(self, uuid: bytes) -> None:
-        """Ask for status and result of a goal that was sent before, by this process or another one."""
+        """Request the status and result of a goal that this or another process sent earlier."""
         with self._lock:
             self._goals.setdefault(uuid, Sent(self._clock.monotonic_ns(), adopted=True))
             status = self._statuses.get(uuid)
@@ -510,12 +510,12 @@ class ActionClient(_Action):
         self._call(_GET, uuid, LITTLE + uuid, self._messages.read_result, self._on_result)
 
     def cancel(self, uuid: bytes) -> None:
-        """Ask for a goal to be canceled; raises as ServiceClient.call."""
+        """Request that a goal be canceled; raises as ServiceClient.call."""
         request, read = self._messages.pack_cancel(uuid), self._messages.read_canceling
         self._call(_CANCEL, uuid, request, read, self._on_canceling)
 
     def forget(self, uuid: bytes) -> None:
-        """Hear nothing more of a goal; the server is not told."""
+        """Stop following a goal, without informing the server."""
         with self._lock:
             sent = self._goals.pop(uuid, None)
         if sent is not None:
@@ -530,7 +530,7 @@ class ActionClient(_Action):
         read: Callable[[bytes], Any],
         take: Callable[[bytes, Any, side.Reply], None],
     ) -> None:
-        """Call a service about a goal; ``take`` gets what ``read`` makes of a response, None without one."""
+        """Call a service for a goal; ``take`` gets the result of ``read``, or None without a response."""
 
         def ended(reply: side.Reply) -> None:
             found = None

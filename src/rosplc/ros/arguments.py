@@ -1,4 +1,4 @@
-"""ROS arguments: what ``ros2 run``, ``ros2 launch`` and ``roslaunch`` put on a node's command line.
+"""ROS arguments, which ``ros2 run``, ``ros2 launch`` and ``roslaunch`` put on a node's command line.
 
 ROS 2: ``--ros-args -r from:=to -p name:=value … --`` (https://design.ros2.org/articles/ros_command_line_arguments.html).
 ROS 1: ``from:=to``, ``__name:=…``, ``_parameter:=value`` among the others (http://wiki.ros.org/Remapping%20Arguments).
@@ -23,7 +23,7 @@ _ENVIRONMENT = {"__master": "ROS_MASTER_URI", "__ip": "ROS_IP", "__hostname": "R
 
 @dataclass(frozen=True, slots=True)
 class Remapping:
-    """What a node's arguments make of its names."""
+    """The names of a node after its arguments are applied."""
 
     topics: Mapping[str, str] = field(default_factory=dict)  # topic → topic; the first rule for a topic holds
     node: str | None = None  # another base name for the node, if given (``__node:=``, ``__name:=``)
@@ -32,7 +32,7 @@ class Remapping:
 
 @dataclass(frozen=True, slots=True)
 class RosArguments:
-    """ROS arguments that have been understood."""
+    """Parsed ROS arguments."""
 
     # remapping rules in their order: node name (empty: any), from, to
     rules: tuple[tuple[str, str, str], ...] = ()
@@ -44,7 +44,7 @@ class RosArguments:
 
     @classmethod
     def parse(cls, arguments: Sequence[str]) -> RosArguments:
-        """Understand the arguments that :func:`split_arguments` has found; CFG011 if one is not valid."""
+        """Parse arguments found by :func:`split_arguments`; CFG011 if one is not valid."""
         rules: list[tuple[str, str, str]] = []
         environment: dict[str, str] = {}
         others: list[str] = []
@@ -69,11 +69,11 @@ class RosArguments:
             elif ":=" in argument and not argument.startswith("-"):
                 _ros1(argument, rules, environment, others)
             else:
-                raise _refuse(argument, "unknown ROS argument; -- ends the ROS arguments")
+                raise _refuse(argument, "unknown ROS argument; use -- to end the ROS arguments")
         return cls(tuple(rules), environment, tuple(others), level)
 
     def for_node(self, name: str) -> Remapping:
-        """Return what holds for a node of this base name."""
+        """Return what applies to a node with this base name."""
         topics: dict[str, str] = {}
         special: dict[str, str] = {}
         for node, source, target in self.rules:
@@ -83,9 +83,9 @@ class RosArguments:
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Separate ROS arguments from a program's own; return both, in their order.
+    """Separate ROS arguments from a program's own; return both, in order.
 
-    ROS's are those between ``--ros-args`` and ``--`` (or the end), and every ``from:=to`` elsewhere.
+    ROS arguments are those between ``--ros-args`` and ``--`` (or the end), and every ``from:=to`` elsewhere.
     """
     ros: list[str] = []
     own: list[str] = []

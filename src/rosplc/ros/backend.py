@@ -1,11 +1,11 @@
-"""What the bridge asks of a ROS middleware; each backend is one implementation of it.
+"""The interface between the bridge and a ROS middleware; each backend implements it.
 
-A backend moves a message's bytes and never looks inside: CDR for ROS 2 (with its 4-byte
-encapsulation header), ROS 1 serialization for ROS 1. An action is three services and two
-topics to a backend of ROS 2, five topics to one of ROS 1.
+A backend transfers the bytes of messages without decoding them: CDR with its 4-byte encapsulation
+header for ROS 2, ROS 1 serialization for ROS 1. To a ROS 2 backend, an action is three services and two
+topics; to a ROS 1 backend, five topics.
 
 Threads: every method may be called from any thread. ``on_message``, ``on_request`` and ``on_reply`` are
-called from the backend's own threads, ``on_message`` one call at a time; they must not block. They may
+called from the backend's own threads, ``on_message`` one call at a time. They must not block. They may
 close their own endpoint.
 """
 
@@ -28,7 +28,7 @@ OnRequest = Callable[[bytes, bytes, int], None]
 
 
 TypeSource = TypeStore
-"""The former name of a parameter's type."""
+"""The former name of a parameter type."""
 
 Reliability = Literal["reliable", "best_effort"]
 Durability = Literal["volatile", "transient_local"]
@@ -39,7 +39,7 @@ _MOST = 2**31 - 1  # DDS carries a depth as a signed 32-bit number
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """How messages of one topic are carried. Raises BackendError ROS007 for a value that is none."""
+    """How messages of one topic are carried. Raises BackendError ROS007 for an invalid value."""
 
     reliability: Reliability = "reliable"  # repeats lost messages; ``best_effort`` does not
     # ``transient_local`` keeps the last ``depth`` messages for readers that come later (ROS 1: latched)
@@ -66,7 +66,7 @@ class Qos:
 
     @property
     def promises(self) -> bool:
-        """Whether anything is promised, or asked for, about the coming of messages."""
+        """Whether a deadline or lease is promised or requested."""
         return bool(self.deadline_ns or self.lease_ns)
 
 
@@ -80,10 +80,10 @@ DEFAULT = Qos()
 """ROS 2's default for topics: reliable, volatile, the last 10 messages."""
 
 SENSOR_DATA = Qos(reliability="best_effort", depth=5)
-"""ROS 2's sensor data profile: newest data matters, lost data does not."""
+"""ROS 2's sensor data profile: the newest data matters, and losses are acceptable."""
 
 LATCHED = Qos(durability="transient_local", depth=1000)
-"""What a latched ROS 1 publisher with a queue of 1000 does: late readers get what was sent."""
+"""Like a latched ROS 1 publisher with a queue of 1000: late subscribers get earlier messages."""
 
 SERVICES = Qos()
 """ROS 2's profile for services: reliable, volatile, the last 10 requests or responses."""
@@ -93,7 +93,7 @@ PRESETS: dict[str, Qos] = {"default": DEFAULT, "sensor_data": SENSOR_DATA, "latc
 
 
 def incompatibility(offered: Qos, requested: Qos) -> str | None:
-    """Return in words why an offered and a requested Qos do not match, else None (DDS 1.4, 2.2.3)."""
+    """Return why an offered and a requested QoS do not match, or None if they do (DDS 1.4, 2.2.3)."""
     problems = []
     if offered.reliability == "best_effort" and requested.reliability == "reliable":
         problems.append("the publisher is best_effort and the subscriber requests reliable")
@@ -111,7 +111,7 @@ def incompatibility(offered: Qos, requested: Qos) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class EndpointStatus:
-    """The present state of one of the bridge's own endpoints."""
+    """The current state of one of the bridge's own endpoints."""
 
     topic: str  # the absolute name of the topic or service, as ROS writes it
     type_name: str  # ``package/msg/Name``; ``package/srv/Name`` for a service
@@ -139,7 +139,7 @@ class EndpointStatus:
 
 @dataclass(frozen=True, slots=True)
 class EndpointInfo:
-    """A peer's endpoint as discovery shows it."""
+    """Another node's endpoint, as shown by discovery."""
 
     topic: str  # the absolute topic name
     type_name: str  # ``package/msg/Name``
@@ -152,7 +152,7 @@ class EndpointInfo:
 
 @dataclass(frozen=True, slots=True)
 class GraphInfo:
-    """What the backend sees of the ROS graph, its own endpoints left out."""
+    """The ROS graph as the backend sees it, without its own endpoints."""
 
     nodes: tuple[str, ...] = ()  # full names of the other nodes, sorted
     endpoints: tuple[EndpointInfo, ...] = ()  # the other nodes' endpoints
@@ -171,7 +171,7 @@ Sink = Any
 
 
 class Endpoint(Protocol):
-    """What subscriptions, publishers, servers and clients have in common."""
+    """The common interface of subscriptions, publishers, servers and clients."""
 
     topic: str
     """The absolute name of the topic or service."""
@@ -180,30 +180,30 @@ class Endpoint(Protocol):
 
     @property
     def matched(self) -> int:
-        """Peers that messages are exchanged with: of a server, the clients that can be answered."""
+        """Number of peers that exchange messages with it; for a server, the clients that can be answered."""
 
     def status(self) -> EndpointStatus:
-        """Return the present state; cheap enough to be asked every second."""
+        """Return the current state; cheap enough to be called every second."""
 
     def close(self) -> None:
-        """Withdraw it; afterwards no callback runs or starts (unless called from it). Harmless twice.
+        """Close the endpoint; after that, no callback runs, unless this was called from it. Callable twice.
 
-        A client ends every open call with ``fate unknown`` before.
+        A client first ends every open call with ``fate unknown``.
         """
 
 
 class Subscription(Endpoint, Protocol):
-    """A topic that is being received."""
+    """A subscription to a topic."""
 
 
 class Publisher(Endpoint, Protocol):
-    """A topic that is being sent."""
+    """A publisher of a topic."""
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send a serialized message, its encapsulation header included; never blocks.
+        """Send a serialized message, including its encapsulation header; never blocks.
 
         ``stamp_ns`` is the source stamp (ns since 1970; None: now). Return False if the message was dropped
-        because a peer does not keep up. Raises BackendError ROS008 if the payload is no message of the type,
+        because a peer cannot keep up. Raises BackendError ROS008 if the payload is not a message of the type,
         ROS009 after close.
         """
 
@@ -229,74 +229,74 @@ class ServiceServer(Endpoint, Protocol):
 
     @property
     def remembers(self) -> bool:
-        """Whether another server of this service, in another process, can answer a caller by its 16 bytes."""
+        """Whether a server of this service in another process can answer a caller by its 16-byte id."""
 
     def reply(self, caller: bytes, payload: bytes) -> bool:
-        """Send a response to what ``on_request`` was called with, once; never blocks.
+        """Send the one response to a request received by ``on_request``; never blocks.
 
-        Return False if the caller has gone, or was answered or refused before. Raises BackendError ROS008 if
-        the payload, its encapsulation header included, is no response of the type, ROS009 after close.
+        Return False if the caller is gone, or was already answered or refused. Raises BackendError ROS008 if
+        the payload, including its encapsulation header, is not a response of the type, ROS009 after close.
         """
 
     def refuse(self, caller: bytes, text: str) -> bool:
-        """End a call without a response, as :meth:`reply`. ROS 1's clients get the text, ROS 2's nothing."""
+        """End a call without a response; see :meth:`reply`. ROS 1 clients get the text, others nothing."""
 
     def present(self, caller: bytes) -> bool:
-        """Return whether a caller still waits, as far as the middleware knows; True where it does not."""
+        """Return whether a caller is still waiting; True if the middleware does not know."""
 
 
 class ServiceClient(Endpoint, Protocol):
-    """A service of a ROS server that is called."""
+    """A client of a ROS service."""
 
     @property
     def ready(self) -> bool:
-        """Whether a matching server is known now whose responses can be read."""
+        """Whether a matching server, whose responses can be read, is known now."""
 
     def call(self, payload: bytes, on_reply: OnReply) -> int:
         """Send a request with its encapsulation header; never blocks. Return its number for :meth:`forget`.
 
-        ``on_reply`` is called exactly once unless the call is forgotten, and perhaps before this returns:
+        ``on_reply`` is called exactly once unless the call is forgotten, possibly before this method returns:
         with the response, ``not executed`` (such as reason ``NO_SERVER``: nothing was sent), or
-        ``fate unknown`` (the server has gone; :meth:`close`). There is no time limit here. Raises
-        BackendError ROS008 if the payload is no request of the type, ROS009 after close.
+        ``fate unknown`` (the server went offline; :meth:`close`). There is no time limit. Raises
+        BackendError ROS008 if the payload is not a request of the type, ROS009 after close.
         """
 
     def forget(self, number: int) -> None:
-        """Wait no longer for a call: ``on_reply`` does not start any more. An unknown number is ignored."""
+        """Stop waiting for a call: ``on_reply`` is no longer called. An unknown number is ignored."""
 
 
 class Backend(Protocol):
     """One ROS node on one middleware.
 
-    A backend whose node can be ended from outside has an attribute ``ended`` as well: why, in words;
-    empty while it lives (:func:`ended_for_good`). One that knows which endpoints may have changed since the
-    last call returns them from a method ``changed``; without it all may have.
+    A backend whose node can be ended from outside also has an attribute ``ended``: the reason as text,
+    empty while the node is running (:func:`ended_for_good`). A backend may have a method ``changed``, which
+    returns the endpoints that may have changed since the last call; without it, all may have changed.
     """
 
     name: str
-    """The backend's name, as ``ros.backend`` in the configuration has it."""
+    """The backend's name, as in ``ros.backend`` of the configuration."""
 
     capabilities: frozenset[str]
-    """What it can carry: ``topics``, ``services``; ``deadline`` if it keeps what a QoS promises in time."""
+    """The supported features: ``topics``, ``services``; ``deadline`` means both deadlines and leases."""
 
     node: str
     """The node's full name."""
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Subscription:
-        """Receive a topic.
+        """Subscribe to a topic.
 
         Raises BackendError ROS005 for a bad name, ROS002 if the middleware refuses; MessageTypeError TYP001.
         """
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Publisher:
-        """Send a topic; raises as :meth:`subscribe` does."""
+        """Advertise a topic; raises as :meth:`subscribe`."""
 
     def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> ServiceServer:
         """Serve a service (capability ``services``); raises as :meth:`subscribe` does.
 
         ``type_name`` is ``package/srv/Name``, or a service of an action: ``package/action/Name_SendGoal``,
-        ``package/action/Name_GetResult``. The messages are this with ``_Request`` and ``_Response``. ``qos``
-        is :data:`SERVICES`, unless there are reasons for another depth.
+        ``package/action/Name_GetResult``. The message types have the suffixes ``_Request`` and ``_Response``.
+        ``qos`` is :data:`SERVICES`, unless another depth is needed.
         """
 
     def client(self, service: str, type_name: str, qos: Qos) -> ServiceClient:
@@ -306,21 +306,21 @@ class Backend(Protocol):
         """Return the state of all endpoints of this backend."""
 
     def graph(self) -> GraphInfo:
-        """Return what is seen of the other nodes."""
+        """Return the graph of the other nodes."""
 
     def close(self) -> None:
-        """Leave the graph: close all endpoints, end the receive thread; harmless twice."""
+        """Leave the graph: close all endpoints and end the receive thread; a second call does nothing."""
 
 
 def ended_for_good(backend: Backend | None) -> str:
-    """Return why a backend's node has left the graph for good; empty if it has not, or never does."""
+    """Return why a backend's node has left the graph permanently; empty if it has not."""
     return str(getattr(backend, "ended", ""))
 
 
 def settled_graph(
     graph: Callable[[], GraphInfo], seconds: float, needed: Collection[str] = (), *, clock: Clock = SYSTEM
 ) -> GraphInfo:
-    """Return the graph once it has not changed for a second and has the topics ``needed``, or at the end."""
+    """Return the graph when it has been stable for 1 s and has the topics ``needed``, or at the limit."""
     # Discovery takes a moment, and nothing shows when it is over.
     start = changed = clock.monotonic_ns()
     seen = graph()

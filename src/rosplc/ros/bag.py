@@ -1,7 +1,7 @@
-"""A ROS 1 or ROS 2 recording as the file has it: topics, definitions as text, messages as bytes.
+"""The raw content of a ROS 1 or ROS 2 recording: topics, definitions as text, messages as bytes.
 
-Nothing of a definition is executed and no message is decoded here, so a recording of unknown origin
-may be read.
+No definition is executed and no message is decoded here, so recordings of unknown origin can be read
+safely.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Bag:
         return tuple(found[key] for key in sorted(found))
 
     def span(self) -> tuple[int, int]:
-        """Return when the first and the last message were recorded (ns since 1970); 0 without a message."""
+        """Return the times of the first and last message (ns since 1970); 0 if there are no messages."""
         if not self._reader.message_count:
             return 0, 0
         return int(self._reader.start_time), int(self._reader.end_time)
@@ -111,7 +111,7 @@ class Bag:
 
 @contextmanager
 def _without_unknown_definitions() -> Iterator[None]:
-    """Hide from rosbags the types whose definition rosbag2 did not find: it would refuse the whole file."""
+    """Hide types without a recorded definition from rosbags, which would refuse the whole file."""
 
     def row(cursor: apsw.Cursor, found: tuple[Any, ...]) -> tuple[Any, ...] | None:
         is_definition = len(found) == 4 and cursor.description[1][0] == "encoding"
@@ -128,7 +128,7 @@ def _without_unknown_definitions() -> Iterator[None]:
 
 
 def _definition(connection: Any) -> str:
-    """Return a connection's definition as ``.msg`` text; empty where the file has none that can be used."""
+    """Return a connection's definition as ``.msg`` text; empty if the file has no usable definition."""
     form, text = connection.msgdef.format, str(connection.msgdef.data)
     if form is not MessageDefinitionFormat.IDL:
         return text if form is MessageDefinitionFormat.MSG else ""
@@ -143,7 +143,7 @@ def _definition(connection: Any) -> str:
 
 
 def _publisher(ext: Any) -> tuple[tuple[str, ...], tuple[Qos, ...]]:
-    """Return what a recording says of a topic's publishers: a name, or settings, or neither."""
+    """Return what a recording contains about a topic's publishers: a name, QoS settings, or neither."""
     if isinstance(ext, ConnectionExtRosbag1):
         node = (str(ext.callerid),) if ext.callerid else ()
         return node, (Qos(durability="transient_local" if ext.latching else "volatile", depth=1),)

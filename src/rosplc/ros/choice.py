@@ -1,7 +1,7 @@
-"""Which backend ``ros.backend: auto`` becomes on this machine, and why.
+"""Which backend ``ros.backend: auto`` selects on this machine, and why.
 
-docs/explanation/decisions.md gives the reasons: the graph decides
-what can reach it, the machine what is installed, and nothing is chosen that would reach nobody.
+docs/explanation/decisions.md gives the reasons: the ROS graph determines which backends can reach it,
+the machine which ones are installed; a backend that would reach no node is not selected.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ BACKENDS: dict[str, str] = {
     "rospy": "rosplc.ros.rospy",
     "memory": "rosplc.ros.memory",
 }
-"""Backend name → the module whose ``open_backend`` makes one; imported when it is asked for."""
+"""Backend name → the module whose ``open_backend`` opens the backend; imported on demand."""
 
 INSTALL: dict[str, str] = {
     "dds": "pip install 'cyclonedds>=11,<12' (x86-64, Python before 3.14)",
     "rclpy": "install ROS 2, source its setup.bash and use the Python that its packages are built for",
     "zenoh": "pip install 'rosplc[zenoh]'",
-    "rospy": "install rosplc again: the backend is part of it",
+    "rospy": "reinstall rosplc, which includes this backend",
 }
-"""Backend name → how its package comes onto a machine."""
+"""Backend name → how to install its package."""
 
 ROS1 = "noetic"
-"""The distribution that is ROS 1; all others are ROS 2."""
+"""The only ROS 1 distribution; all others are ROS 2."""
 
 # The RMW implementations that the DDS backend is tested against; the empty name is ROS 2's default.
 _PLAIN_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
@@ -40,7 +40,7 @@ _PLAIN_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedd
 
 @dataclass(frozen=True)
 class Choice:
-    """A backend that was chosen."""
+    """A selected backend."""
 
     name: str  # the backend
     why: str  # what decided, in words
@@ -73,12 +73,12 @@ def choose(
     services: bool = False,
     missing: Callable[[str], str] = why_not_installed,
 ) -> Choice:
-    """Choose a backend for the ROS distribution whose definitions the configuration takes.
+    """Select a backend for the ROS distribution whose definitions the configuration uses.
 
-    Of the environment ``RMW_IMPLEMENTATION`` and ``ROS_SECURITY_ENABLE`` count. ``zenoh_settings``: the
-    configuration says how to reach Zenoh; ``services``: it has services or actions, which ``rclpy`` carries
-    whatever the other nodes run on; ``missing`` returns why a backend cannot be imported, if so. Raises
-    BackendError ROS001 if nothing usable is installed, with what was tried and how each is installed.
+    The environment variables ``RMW_IMPLEMENTATION`` and ``ROS_SECURITY_ENABLE`` are considered.
+    ``zenoh_settings``: the configuration has settings for Zenoh; ``services``: it has services or actions,
+    which ``rclpy`` carries with any middleware; ``missing`` returns why a backend cannot be imported, or an
+    empty text. Raises BackendError ROS001, with installation commands, if no usable backend is installed.
     """
     variables = os.environ if environment is None else environment
     wanted, why, unfit = _candidates(distro, variables, zenoh_settings, services)
@@ -105,7 +105,7 @@ def choose(
 def _candidates(
     distro: str, variables: Mapping[str, str], zenoh_settings: bool, services: bool
 ) -> tuple[tuple[str, ...], str, dict[str, str]]:
-    """Return what may be taken, in this order, the reason, and why the others are out of the question."""
+    """Return the possible backends in order of preference, the reason, and why the others are excluded."""
     rmw = variables.get("RMW_IMPLEMENTATION", "").strip()
     secured = variables.get("ROS_SECURITY_ENABLE", "") == "true"  # as rcl compares: nothing else enables it
     if distro == ROS1:
@@ -126,6 +126,6 @@ def _candidates(
         return ("rclpy",), why, unfit | {"dds": f"may not be compatible with {rmw}"}
     why = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "ROS 2 uses DDS unless RMW_IMPLEMENTATION is set"
     if services:
-        why += "; rclpy is preferred, as dds exchanges service calls only with rmw_cyclonedds"
+        why += "; rclpy is preferred: dds exchanges service calls only with rmw_cyclonedds"
         return ("rclpy", "dds"), why, unfit
     return ("dds", "rclpy"), why, unfit

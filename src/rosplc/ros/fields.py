@@ -1,6 +1,6 @@
-"""A message's bytes as values and back, for messages that the node itself reads and writes.
+"""Conversion between bytes and values, for messages that the node itself reads and writes.
 
-They are CDR, those of ROS 1's types as ROS 1 serializes them.
+The bytes are CDR, or ROS 1 serialization for ROS 1 types.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def unpack(store: TypeStore, type_name: str, payload: bytes) -> dict[str, Any]:
 def unpack_first(
     store: TypeStore, type_name: str, payload: bytes, count: int | None
 ) -> tuple[dict[str, Any], bytes]:
-    """Return so many fields of a message as :func:`unpack`, and the bytes behind them."""
+    """Return the first ``count`` fields of a message as :func:`unpack`, and the remaining bytes."""
     try:
         reader = Reader(store, payload)
         return reader.message(type_name, count), reader.rest()
@@ -31,7 +31,7 @@ def unpack_first(
 
 
 def unpack_whole(store: TypeStore, type_name: str, payload: bytes) -> dict[str, Any]:
-    """Return a message as :func:`unpack`; COD001, COD002 or COD003 if the bytes are no such message."""
+    """Return a message as :func:`unpack`; COD001, COD002 or COD003 if the bytes are not such a message."""
     cdr = store.ros_version == 2
     if cdr and len(payload) >= 4 and payload[:2] not in (b"\0\0", b"\0\1"):
         raise CodecError("COD003", f"encapsulation 0x{payload[:2].hex()} is neither 0x0000 nor 0x0001")
@@ -45,20 +45,20 @@ def unpack_whole(store: TypeStore, type_name: str, payload: bytes) -> dict[str, 
 
 
 def pack(store: TypeStore, type_name: str, values: Mapping[str, Any]) -> bytes:
-    """Return a message; a field that is not given is zero or empty."""
+    """Return a message's bytes; missing fields are zero or empty."""
     writer = _Writer(store)
     writer.message(type_name, values)
     return bytes(writer.out) if writer.ros1 else b"\0\1\0\0" + bytes(writer.out)
 
 
 def time(ns: int) -> dict[str, int]:
-    """Return a time in ns since 1970 as a message's stamp has it."""
+    """Return a time in ns since 1970 as the fields of a message's stamp."""
     # An int32 in ROS 2; from 2038 on its bits are those of ROS 1's uint32, which lasts until 2106.
     return {"sec": (ns // 10**9 + 2**31) % 2**32 - 2**31, "nanosec": ns % 10**9}
 
 
 class Reader:
-    """A place in a message, from its beginning on; struct.error or IndexError where the bytes do not fit."""
+    """A read position in a message; raises struct.error or IndexError where the bytes do not fit."""
 
     def __init__(self, store: TypeStore, payload: bytes) -> None:
         self._store, self._at = store, 0
@@ -67,14 +67,14 @@ class Reader:
         self._order = "<" if self._ros1 or payload[1] & 1 else ">"
 
     def message(self, name: str, count: int | None = None) -> dict[str, Any]:
-        """Return so many fields of a message, None: all."""
+        """Return ``count`` fields of a message; None: all."""
         fields = self._store[name].fields
         if not fields and not self._ros1:
             self._numbers("uint8", 1)  # CDR has no empty structures
         return {field.name: self._value(field.type) for field in fields[:count]}
 
     def rest(self) -> bytes:
-        """Return the bytes behind what was read."""
+        """Return the bytes after the current position."""
         return bytes(self._body[self._at :])
 
     def _value(self, kind: FieldType) -> Any:
@@ -98,7 +98,7 @@ class Reader:
         return int(self._numbers("uint32", 1)[0])
 
     def _skip(self, name: str, count: int) -> int:
-        """Go on behind some numbers, and return where they begin."""
+        """Skip some numbers, and return where they begin."""
         width = PRIMITIVES[name]
         at = self._at + (-self._at % width if count and not self._ros1 else 0)
         self._at = at + count * width

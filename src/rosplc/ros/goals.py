@@ -1,4 +1,4 @@
-"""Goals of actions: their states, and the messages that ROS 2 makes of an action's own for them."""
+"""The states of goals, and the messages that ROS 2 derives from an action's definition."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class GoalStatus(enum.IntEnum):
 
 
 class GoalStep(enum.IntEnum):
-    """What leads from one state to another, as rcl_action numbers its events."""
+    """The transitions between states, with the numbers of rcl_action's events."""
 
     EXECUTE = 0
     CANCEL = 1
@@ -53,7 +53,7 @@ STEPS: dict[tuple[GoalStatus, GoalStep], GoalStatus] = {
 
 
 class CancelCode(enum.IntEnum):
-    """What became of a request to cancel, as ``action_msgs/srv/CancelGoal`` numbers it."""
+    """The result of a request to cancel, with the numbers of ``action_msgs/srv/CancelGoal``."""
 
     NONE = 0
     REJECTED = 1
@@ -85,7 +85,7 @@ def wrap(uuid: bytes, payload: bytes) -> bytes:
 
 
 def unwrap(payload: bytes) -> tuple[bytes, bytes]:
-    """Return UUID, and goal or feedback; of a request for a result, an empty message. ROS008 if too short."""
+    """Return the UUID and goal or feedback; empty for a request for a result. ROS008 if too short."""
     if len(payload) < 20:
         raise BackendError("ROS008", f"an action message has {len(payload)} bytes, but needs at least 20")
     return payload[4:20], payload[:4] + payload[20:]
@@ -131,12 +131,12 @@ class Messages:
         return fields.pack(self._store, STATUSES, {"status_list": known})
 
     def read_statuses(self, payload: bytes) -> list[KnownGoal]:
-        """Return what the status topic tells."""
+        """Return the goals in a message of the status topic."""
         known = fields.unpack(self._store, STATUSES, payload)["status_list"]
         return [(*_read_info(one["goal_info"]), one["status"]) for one in known]
 
     def pack_result(self, status: int, result: bytes | None) -> bytes:
-        """Return the response for a result, or for none an empty one."""
+        """Return the response with a result; an empty one for None."""
         values = {} if result is None else fields.unpack(self._store, self._result, result)
         return fields.pack(self._store, self._response, {"status": status, "result": values})
 

@@ -1,9 +1,9 @@
 """A backend whose endpoints exist only while it is active: the ROS side of a lifecycle node.
 
-A managed node that is inactive neither receives nor sends. Endpoints that were asked for are remembered,
-opened by :meth:`LifecycleBackend.activate` and closed by :meth:`LifecycleBackend.deactivate`; a latched
-topic's last messages come again with each activation, as for any late subscriber, and are sent again.
-Open calls of services end when the node becomes inactive; no call is executed while it is.
+An inactive managed node neither receives nor sends. Requested endpoints are remembered, opened by
+:meth:`LifecycleBackend.activate` and closed by :meth:`LifecycleBackend.deactivate`. At each activation, the
+last messages of a latched topic are received again, as by any late subscriber, and are sent again. Open
+service calls end when the node becomes inactive; no call is executed while it is inactive.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SUMMED = ("messages", "dropped", "rejected", "failed")
 
 
 def _while_open(name: str) -> Any:
-    """Return a method of a server, which is False while inactive."""
+    """Return a server method that returns False while the node is inactive."""
 
     def method(endpoint: LifecycleEndpoint, *arguments: Any) -> bool:
         inner = endpoint._inner
@@ -36,9 +36,9 @@ def _while_open(name: str) -> Any:
 
 
 class LifecycleEndpoint:
-    """A topic or service of the backend while it is active; ``before`` tells the direction.
+    """A topic or service that is open while the backend is active; ``before`` shows the direction.
 
-    If it is ``latched``, its last message is sent again at each activation.
+    If ``latched``, its last message is sent again at each activation.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class LifecycleEndpoint:
 
     @property
     def matched(self) -> int:
-        """Peers of the open endpoint."""
+        """Number of peers of the open endpoint."""
         inner = self._inner
         return 0 if inner is None else int(inner.matched)
 
@@ -75,7 +75,7 @@ class LifecycleEndpoint:
                 self._inner = inner
 
     def shut(self) -> None:
-        """Close the endpoint, and keep its counts."""
+        """Close the endpoint and keep its counts."""
         inner, self._inner = self._inner, None
         if inner is not None:
             inner.close()
@@ -86,14 +86,14 @@ class LifecycleEndpoint:
         return replace(now, last_ns=now.last_ns or self._before.last_ns, **counts)
 
     def status(self) -> EndpointStatus:
-        """Return the present state; the counts are those of all activations together."""
+        """Return the current state, with the total counts of all activations."""
         if (inner := self._inner) is not None:
             return self._sum(inner.status())
         code, reason = ("ROS009", "closed") if self._closed else ("", _INACTIVE)
         return replace(self._before, topic=self.topic, matched=0, code=code, reason=reason)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message; ROS009 while the backend is inactive, and as the backend's own publisher."""
+        """Send a message; raises ROS009 while the backend is inactive, and as the backend's publisher."""
         if not self._latched:
             return self._write(payload, stamp_ns)
         with self._lock:  # what is sent again comes before anything newer
@@ -110,7 +110,7 @@ class LifecycleEndpoint:
 
     @property
     def remembers(self) -> bool:
-        """As the backend's server; True while inactive, when it is not known yet: a caller's answer waits."""
+        """As the backend's server; True while inactive, as it is not known yet: answers to callers wait."""
         inner = self._inner
         return inner is None or bool(getattr(inner, "remembers", False))
 
@@ -129,12 +129,12 @@ class LifecycleEndpoint:
         return int(inner.call(payload, on_reply))
 
     def forget(self, number: int) -> None:
-        """Wait no longer for a call."""
+        """Stop waiting for a call."""
         if (inner := self._inner) is not None:
             inner.forget(number)
 
     def close(self) -> None:
-        """Close it for good; closing twice is harmless."""
+        """Close the endpoint permanently; a second call does nothing."""
         if not self._closed:
             self._closed = True
             self.shut()
@@ -145,7 +145,7 @@ class LifecycleBackend(Opener):
     """A backend that is connected while it is active; see :class:`rosplc.ros.backend.Backend`.
 
     Args:
-        check: Called with the type's name when an endpoint is asked for, to refuse at once what
+        check: Called with the type name when an endpoint is requested, to refuse immediately what
             could not be opened later.
         always: Topics that are connected in every state.
         latched: Topics whose last message is sent again at each activation.
@@ -186,7 +186,7 @@ class LifecycleBackend(Opener):
             self._endpoints = [one for one in self._endpoints if one is not endpoint]
 
     def activate(self) -> None:
-        """Open all endpoints, or none. Raises as the backend's ``subscribe`` and ``advertise``."""
+        """Open all endpoints or none. Raises as the backend's ``subscribe`` and ``advertise``."""
         with self._lock:
             try:
                 for endpoint in self._endpoints:
@@ -197,7 +197,7 @@ class LifecycleBackend(Opener):
             self.active = True
 
     def deactivate(self) -> None:
-        """Close all endpoints; after the return no callback runs."""
+        """Close all endpoints; after this returns, no callback runs."""
         with self._lock:
             self.active = False
             for endpoint in self._endpoints:
@@ -211,14 +211,14 @@ class LifecycleBackend(Opener):
 
     @property
     def ended(self) -> str:
-        """Why the node has left the graph for good; empty if it has not."""
+        """Why the node has left the graph permanently; empty if it has not."""
         return backend.ended_for_good(self._inner)
 
     def graph(self) -> GraphInfo:
-        """Return what is seen of the other nodes."""
+        """Return the graph of the other nodes."""
         return self._inner.graph()
 
     def close(self) -> None:
-        """Close all endpoints and the backend; harmless twice."""
+        """Close all endpoints and the backend; a second call does nothing."""
         self.deactivate()
         self._inner.close()

@@ -1,9 +1,9 @@
-"""A ROS graph inside one process, for tests: the semantics of the others without a network.
+"""A ROS graph inside one process, for tests: the semantics of the other backends without a network.
 
-Backends in one domain see each other. What DDS does, this does: newest ``depth`` messages
-wait and older ones give way; latched publishers serve late subscribers; other types and
-excluding settings keep endpoints from matching, and the status shows it. Unlike DDS it looks
-at no more of a payload than its header. A request goes to every server, and the first response counts.
+Backends in one domain discover each other. As in DDS, the newest ``depth`` messages wait and
+older ones are dropped; latched publishers serve late subscribers; different types and incompatible
+settings prevent endpoints from matching, and the status shows this. Unlike DDS, only the header of a
+payload is checked. A request is sent to every server, and the first response counts.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class _Endpoint(_base.BaseEndpoint):
         return bytes(payload) if self._node.plain else super()._checked(payload)
 
     def put(self, *message: Any) -> None:
-        """Queue what is received: a message, a request, or the number and the end of a call."""
+        """Queue what is received: a message, a request, or the number and end of a call."""
         with _graph:
             self._put(*message)
         self._node.news.set()
 
     def others(self) -> list[Any]:
-        """Return the endpoints that may match this one; ours on the same node too, as in ROS."""
+        """Return the endpoints that may match this one, including those on the same node, as in ROS."""
         return [
             endpoint
             for backend in _domains.get(self._node.domain, [])
@@ -55,7 +55,7 @@ class _Endpoint(_base.BaseEndpoint):
         ]
 
     def peers(self) -> list[Any]:
-        """Return the endpoints that messages are exchanged with."""
+        """Return the endpoints that exchange messages with this one."""
         return [other for other in self.others() if _base.explain(other.info, self) is None]
 
     def _matched(self) -> int:
@@ -63,17 +63,17 @@ class _Endpoint(_base.BaseEndpoint):
             return len(self.peers())
 
     def close(self) -> None:
-        """Leave the graph; closing twice is harmless."""
+        """Leave the graph; a second call does nothing."""
         with _graph:
             super().close()
 
 
 class MemorySubscription(_base.QueuedSubscription, _Endpoint):
-    """A topic being received; see :class:`rosplc.ros.backend.Subscription`."""
+    """A subscription; see :class:`rosplc.ros.backend.Subscription`."""
 
 
 class MemoryPublisher(_base.BasePublisher, _Endpoint):
-    """A topic being sent; see :class:`rosplc.ros.backend.Publisher`."""
+    """A publisher; see :class:`rosplc.ros.backend.Publisher`."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -88,7 +88,7 @@ class MemoryPublisher(_base.BasePublisher, _Endpoint):
 
 
 class MemoryServer(_base.Queued, _base.KeepingServer, _Endpoint):
-    """A service that is served; see :class:`rosplc.ros.backend.ServiceServer`."""
+    """A service server; see :class:`rosplc.ros.backend.ServiceServer`."""
 
     _take = _base.KeepingServer._take
 
@@ -100,7 +100,7 @@ class MemoryServer(_base.Queued, _base.KeepingServer, _Endpoint):
         return True
 
     def close(self) -> None:
-        """Leave the graph; the calls that no other server has received end."""
+        """Leave the graph; calls that no other server has received end."""
         clients = self.others()
         super().close()
         for client in clients:
@@ -110,7 +110,7 @@ class MemoryServer(_base.Queued, _base.KeepingServer, _Endpoint):
 
 
 class MemoryClient(_base.Queued, _base.BaseClient, _Endpoint):
-    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
+    """A service client; see :class:`rosplc.ros.backend.ServiceClient`."""
 
     _take = _base.BaseClient.end
 
@@ -174,7 +174,7 @@ class MemoryBackend(_base.BaseNode):
         return [f"node {end.info.node}" for end in same if end.direction == "in"]
 
     def graph(self) -> GraphInfo:
-        """Return what is seen of the other nodes."""
+        """Return the graph of the other nodes."""
         with _graph:
             others = [backend for backend in _domains.get(self.domain, []) if backend is not self]
             ends = [endpoint for backend in others for endpoint in backend.endpoints()]
@@ -197,6 +197,6 @@ open_backend = _base.opener(MemoryBackend)
 
 
 def open_apart(store: TypeStore, *names: str) -> list[MemoryBackend]:
-    """Connect nodes of these names to a graph of their own."""
+    """Connect nodes with these names to a separate graph."""
     domain = next(_unnamed)
     return [open_backend(store, name, domain=domain) for name in names]

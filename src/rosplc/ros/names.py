@@ -85,7 +85,7 @@ def resolve_topic(
 
     Both sides of a rule of ``remap`` are expanded the same way before they are compared.
 
-    Raises BackendError: ROS005 if the outcome breaks a rule.
+    Raises BackendError: ROS005 if the result breaks a rule.
     """
 
     def expand(text: str) -> str:

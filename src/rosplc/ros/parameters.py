@@ -1,7 +1,7 @@
-"""A ROS 2 node's parameters: the six services of rcl_interfaces, and what is said on ``/parameter_events``.
+"""A ROS 2 node's parameters: the six services of rcl_interfaces, and the topic ``/parameter_events``.
 
-A node without them lets ``ros2 param list`` wait for every node of the graph. The words of a refusal are for
-people; rclpy and rclcpp have others.
+A node without these services delays ``ros2 param list`` for the whole graph. The texts of refusals are for
+people; those of rclpy and rclcpp differ.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ _VALUES: dict[str, tuple[tuple[type, ...], float, float]] = {
 }
 
 Done = Callable[[str], None]
-"""Called once with the end of a change: empty if the values hold now, else why they do not."""
+"""Called once at the end of a change, with a reason for failure, or empty if the values are in effect."""
 Apply = Callable[[Mapping[str, Any], Done], None]
-"""Asked to make values hold, all or none of them; must not block."""
+"""Called to put values into effect, all of them or none; must not block."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Parameter:
         return found
 
     def refusal(self, kind: str, value: Any) -> str:
-        """Return why it cannot become a value; empty if it can."""
+        """Return why the parameter cannot have a value; empty if it can."""
         if self.read_only:
             return f"{self.name} is read-only"
         if kind != self.kind:
@@ -86,7 +86,7 @@ class Parameter:
         return "" if self.range is None else self._outside(value)
 
     def fitting(self, value: Any) -> Any:
-        """Return a value of YAML as one that this can have, read-only or not; ValueError with words."""
+        """Convert a YAML value to a value of this parameter, read-only or not; ValueError with the reason."""
         found = converted(self.kind, value)
         if why := replace(self, read_only=False).refusal(self.kind, found):
             raise ValueError(why)
@@ -105,7 +105,7 @@ class Parameter:
 
 
 def converted(kind: str, value: Any) -> Any:
-    """Return a value of YAML as one of a kind of parameters; ValueError with words if it is none."""
+    """Convert a YAML value to a parameter kind; ValueError with the reason if that is not possible."""
     if kind.endswith("_array"):
         if not isinstance(value, list):
             raise ValueError(f"{value!r} is not of type {kind}")
@@ -118,15 +118,15 @@ def converted(kind: str, value: Any) -> Any:
 
 
 def shown_parameters(values: Mapping[str, str | list[str]]) -> list[Parameter]:
-    """Return read-only parameters by which a node shows what it is: ``version``, and those given."""
+    """Return read-only parameters that describe the node: ``version`` and the given values."""
     return [
-        Parameter(name, "string" if isinstance(value, str) else "string_array", value, "shown only", True)
+        Parameter(name, "string" if isinstance(value, str) else "string_array", value, "read-only", True)
         for name, value in {"version": __version__, **values}.items()
     ]
 
 
 class ParameterServer:
-    """Serves a node's parameters; ``apply`` makes values hold that were asked for.
+    """Serves a node's parameters; ``apply`` puts requested values into effect.
 
     Raises as :meth:`rosplc.ros.backend.Backend.serve`.
     """
@@ -167,11 +167,11 @@ class ParameterServer:
             end.close()
 
     def begin(self, names: Collection[str]) -> Mapping[str, Any]:
-        """Return values of these parameters that are there from before: none."""
+        """Return earlier values of these parameters: there are none."""
         return {}
 
     def changed(self, values: Mapping[str, Any]) -> None:
-        """Take in values that hold now, and say so to whom it concerns."""
+        """Note values that are in effect now, and publish the changes."""
         with self._lock:
             changed = [name for name, value in values.items() if self.values[name] != value]
             self.values.update(values)
@@ -179,7 +179,7 @@ class ParameterServer:
             self._tell("changed_parameters", changed)
 
     def _take(self, values: Mapping[str, Any]) -> None:
-        """Have parameters take their values themselves."""
+        """Let parameters with a ``take`` function process their values."""
         for name, value in values.items():
             if (take := self.declared[name].take) is not None:
                 take(value)
@@ -218,7 +218,7 @@ class ParameterServer:
         answer(result={"names": names, "prefixes": [group for group in groups if group]})
 
     def _known(self, names: Sequence[str]) -> list[Parameter]:
-        """Return parameters by name; none at all if one is not declared, as rclpy answers."""
+        """Return parameters by name; an empty list if one is not declared, as in rclpy."""
         return [self.declared[name] for name in names] if self.declared.keys() >= set(names) else []
 
     def _describe(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
@@ -231,7 +231,7 @@ class ParameterServer:
         answer(types=bytes(each.number for each in self._known(request["names"])))
 
     def _wish(self, asked: Any) -> tuple[list[str], dict[str, Any], dict[str, Any]]:
-        """Return why each of some wishes cannot be, empty where it can, and those values: own, others."""
+        """Return for each requested value the reason for a refusal, or empty, and the values: own, others."""
         refused: list[str] = []
         own: dict[str, Any] = {}
         others: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Whether a path leads to what can be read as a recording: a pipe would be waited for without end."""
+"""Checks that a path can be read as a recording: reading from a pipe could block forever."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _OPENED = (".bag", ".db3", ".mcap", ".yaml", ".zstd")
 def unreadable_kind(path: Path, *, folder: bool = True) -> tuple[str, str]:
     """Return why a path cannot be a recording, and what to do; two empty texts if it may be one.
 
-    A folder's files are looked at as well.
+    The files in a folder are checked as well.
     """
     try:
         mode = path.stat().st_mode

@@ -1,3 +1,3 @@
-"""A bridge as a service of systemd: its unit, its user, and what it reports to the service manager."""
+"""A bridge as a systemd service: its unit, its user, and its reports to the service manager."""
 
 __all__: list[str] = []

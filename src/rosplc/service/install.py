@@ -1,8 +1,8 @@
-"""Installing and removing a service of systemd: the unit's files, steps, execution.
+"""Installation and removal of a systemd service: the unit's files, the steps and their execution.
 
-One template, ``rosplc@.service``, is hardened for every bridge alike. What differs between bridges (their
-configuration, user and group, real-time limits) is in a drop-in of the instance. Nothing is done that is not
-in the steps.
+One hardened template, ``rosplc@.service``, serves all bridges. The settings that differ between bridges
+(configuration, user and group, real-time limits) are in a drop-in of the instance. Nothing is done that is
+not in the steps.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rosplc.config.resolve import open_doors
 from rosplc.errors import SetupError
 
 MARK = "# Written by rosplc service install; `systemctl edit` puts changes beside it."
-"""The first line of every file that is ours to replace and remove."""
+"""The first line of every file that rosplc may replace and remove."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,30}")
@@ -34,7 +34,7 @@ _BACKOFF = 254  # systemd's version that knows RestartSteps=
 
 @dataclass(frozen=True)
 class Plan:
-    """One bridge as a service, ``rosplc@NAME.service``; SYS011 if a name or path cannot be in a unit."""
+    """One bridge as a service, ``rosplc@NAME.service``; SYS011 if a name or path is not valid in a unit."""
 
     name: str
     user: str
@@ -62,7 +62,7 @@ class Plan:
 
     @property
     def realtime(self) -> bool:
-        """Whether it needs more than an ordinary process may."""
+        """Whether the service needs permissions that an ordinary process lacks."""
         return bool(self.priority or self.lock_memory or self.affinity)
 
 
@@ -73,7 +73,7 @@ def _valid(what: str, value: str, pattern: re.Pattern[str]) -> None:
 
 
 def sysusers(plan: Plan) -> str:
-    """Return the lines that make systemd-sysusers create user and group."""
+    """Return the lines with which systemd-sysusers creates the user and group."""
     lines = [MARK, f'u {plan.user} - "rosplc bridge"']
     if plan.group and plan.group != plan.user:
         lines += [f"g {plan.group} -", f"m {plan.user} {plan.group}"]
@@ -81,21 +81,21 @@ def sysusers(plan: Plan) -> str:
 
 
 def template(plan: Plan) -> str:
-    """Return ``rosplc@.service``."""
+    """Return the text of ``rosplc@.service``."""
     backoff = "RestartSteps=5\nRestartMaxDelaySec=30\n" if plan.systemd >= _BACKOFF else ""
     return _TEMPLATE.format(mark=MARK, program=plan.program, backoff=backoff)
 
 
 def drop_in(plan: Plan) -> str:
-    """Return what the instance has beside the template."""
+    """Return the text of the instance's drop-in."""
     lines = [MARK, "[Service]", f"User={plan.user}"]
     lines += ["ExecStart=", f"ExecStart={plan.program} run --status 0 {plan.config}"]
     if plan.group and plan.group != plan.user:
-        lines += ["# shm.group: shared with the PLC's runtime.", f"SupplementaryGroups={plan.group}"]
+        lines += ["# shm.group, which the PLC runtime shares.", f"SupplementaryGroups={plan.group}"]
     if plan.directory != "/dev/shm":
         lines += ["# shm.directory.", f"ReadWritePaths={plan.directory}"]
     if plan.realtime:
-        lines += ["# realtime: limits instead of capabilities, since limits permit only these two things."]
+        lines += ["# realtime: these limits permit less than capabilities would."]
         lines += ["SystemCallFilter=@resources @memlock"]
     if plan.priority:
         lines += ["RestrictRealtime=no", f"LimitRTPRIO={plan.priority}"]
@@ -120,7 +120,7 @@ Type=notify
 NotifyAccess=main
 User=rosplc
 ExecStart={program} run --status 0 /etc/rosplc/%i.yaml
-# Reloads the configuration; a configuration that is refused changes nothing.
+# Reloads the configuration; a rejected configuration changes nothing.
 ExecReload=/bin/kill -HUP $MAINPID
 EnvironmentFile=-/etc/rosplc/%i.env
 StateDirectory=rosplc
@@ -128,16 +128,16 @@ Environment=HOME=%S/rosplc ROS_HOME=%S/rosplc PYTHONFAULTHANDLER=1 PYTHONDONTWRI
 
 Restart=on-failure
 RestartSec=2
-{backoff}# 2: the configuration is wrong, so another attempt would not help. A missing disk or group
-# may still appear: the status is then 1, and another attempt follows.
+{backoff}# Exit status 2: the configuration is invalid, so a restart would not help. If a disk or group is
+# missing, the exit status is 1, and the service is restarted because the resource may appear later.
 RestartPreventExitStatus=2
-# Fed while the threads for messages and heartbeats are running.
+# The bridge resets the watchdog while its threads for messages and heartbeats are running.
 WatchdogSec=30
 TimeoutStartSec=90
 TimeoutStopSec=20
 
-# The objects stay when the bridge stops: the PLC keeps its last values, and the next start uses them again.
-# Hence no DynamicUser=, which would remove them.
+# The objects remain when the bridge stops: the PLC keeps its last values, and the next start reuses the
+# objects. DynamicUser= would remove them.
 RemoveIPC=no
 ReadWritePaths=/dev/shm
 PrivateIPC=yes
@@ -149,7 +149,7 @@ AmbientCapabilities=
 ProtectSystem=strict
 ProtectHome=yes
 PrivateTmp=yes
-# Keeps /dev/shm.
+# This setting does not hide /dev/shm.
 PrivateDevices=yes
 DevicePolicy=closed
 ProtectProc=invisible
@@ -169,7 +169,7 @@ MemoryDenyWriteExecute=yes
 SystemCallArchitectures=native
 SystemCallFilter=@system-service
 SystemCallFilter=~@privileged @resources
-# fchown: the objects' group.
+# fchown sets the objects' group.
 SystemCallFilter=@chown
 # A system call that is not allowed fails with EPERM and does not kill the bridge.
 SystemCallErrorNumber=EPERM
@@ -184,7 +184,7 @@ _UNIT = Path("/etc/systemd/system/rosplc@.service")
 _DROP_IN = "10-rosplc.conf"
 _TIMEOUT_S = 60
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
-"""What ProtectHome= and PrivateTmp= keep from the service."""
+"""Folders that ProtectHome= and PrivateTmp= hide from the service."""
 _PROPERTIES = ("ActiveState", "SubState", "UnitFileState", "NRestarts", "StatusText")
 
 
@@ -198,7 +198,7 @@ class Write:
 
 @dataclass(frozen=True)
 class Remove:
-    """Remove a file, and its folder if nothing else is in it."""
+    """Remove a file, and its folder if that is then empty."""
 
     path: Path
 
@@ -214,7 +214,7 @@ Step = Write | Remove | Run
 
 
 def install_steps(plan: Plan, root: Path) -> list[Step]:
-    """Return what installs a service; ``root`` has ``etc``. SYS011 if a file there is somebody else's."""
+    """Return the installation's steps; ``root`` contains ``etc``. SYS011 if a file there is not rosplc's."""
     steps: list[Step] = [
         Write(_at(root, _sysusers_file(plan.name)), sysusers(plan)),
         Write(_at(root, _UNIT), template(plan)),
@@ -231,10 +231,10 @@ def install_steps(plan: Plan, root: Path) -> list[Step]:
 
 
 def uninstall_steps(name: str, root: Path) -> list[Step]:
-    """Return what is to be done to remove a bridge's service.
+    """Return the steps that remove a bridge's service.
 
-    User and group stay, as files may be theirs; so do configuration and objects. Raises SetupError SYS011 if
-    there is no such service, or a file of it is somebody else's.
+    User and group remain, since they may own files; so do configuration and objects. Raises SetupError SYS011
+    if there is no such service, or if one of its files is not from rosplc.
     """
     others = [each for each in _installed(root, name) if each != name]
     unit = f"rosplc@{name}.service"
@@ -250,7 +250,7 @@ def uninstall_steps(name: str, root: Path) -> list[Step]:
 
 
 def _installed(root: Path, name: str | None) -> list[str]:
-    """Return the names of the installed bridges, sorted; SYS011 if this one is not among them."""
+    """Return the names of the installed bridges, sorted; SYS011 if ``name`` is not one of them."""
     found = _at(root, _UNIT.parent).glob(f"rosplc@*.service.d/{_DROP_IN}")
     names = sorted(path.parent.name.removeprefix("rosplc@").removesuffix(".service.d") for path in found)
     if name is not None and name not in names:
@@ -262,10 +262,10 @@ def _installed(root: Path, name: str | None) -> list[str]:
 
 
 def execute(steps: list[Step], tell: Callable[[str], None]) -> None:
-    """Do the steps, in order; ``tell`` gets a line for each.
+    """Execute the steps in order; ``tell`` is called with one line for each.
 
-    Raises SetupError SYS011 if a file cannot be written or a command fails; the steps before stay done, and
-    the next attempt continues from there.
+    Raises SetupError SYS011 if a file cannot be written or a command fails; the previous steps are not
+    undone, and the next attempt continues after them.
     """
     for step in steps:
         tell(in_words(step))
@@ -280,13 +280,13 @@ def execute(steps: list[Step], tell: Callable[[str], None]) -> None:
             else:
                 _run(step.argv)
         except OSError as error:
-            remedy = "Run it as root (sudo)." if isinstance(error, PermissionError) else ""
+            remedy = "Run the command as root (sudo)." if isinstance(error, PermissionError) else ""
             what = f"cannot {in_words(step)}: {error.strerror}"
             raise SetupError("SYS011", what, remedy=remedy) from error
 
 
 def in_words(step: Step) -> str:
-    """Return a step as a line."""
+    """Return a step as one line of text."""
     if isinstance(step, Write):
         same = step.path.exists() and _read(step.path) == step.text
         return f"{'keep' if same else 'write'} {step.path}"
@@ -357,7 +357,7 @@ def _drop_in_file(name: str) -> Path:
 
 
 def service_states(root: Path, name: str | None = None) -> list[dict[str, object]]:
-    """Return name, unit, enabled, active, restarts, status of each; SYS011 if ``name`` is not installed."""
+    """Return the state of each installed service, or of one; SYS011 if ``name`` is not installed."""
     return [_state(each, root) for each in _installed(root, name) if name in (None, each)]
 
 
@@ -384,7 +384,7 @@ def _ask(unit: str) -> dict[str, str]:
 
 
 def _systemctl(*arguments: str) -> str:
-    """Return what systemctl prints; empty if there is none, or it does not answer."""
+    """Return the output of systemctl; empty if it is not installed or does not answer."""
     command = ["systemctl", *arguments]
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=10, check=False).stdout
@@ -395,10 +395,10 @@ def _systemctl(*arguments: str) -> str:
 def plan_service(
     name: str | None, config: Path | None, user: str, root: Path, program: Path
 ) -> tuple[Plan, tuple[str, ...]]:
-    """Return the service of a configuration, and what a person should know about it.
+    """Return the service of a configuration, and notes for the user.
 
-    ``name`` None takes the file's, ``config`` None ``/etc/rosplc/NAME.yaml``, also below ``root``. Raises
-    SetupError SYS011 if neither was given, or a name or path is not usable; ConfigErrors.
+    If ``name`` is None, the file's name is used; if ``config`` is None, ``/etc/rosplc/NAME.yaml``, also below
+    ``root``. Raises SetupError SYS011 if neither was given, or a name or path is not usable; ConfigErrors.
     """
     if config is None:
         if name is None:
@@ -426,9 +426,9 @@ def plan_service(
 
 
 def require_systemd() -> None:
-    """Raise SYS011 unless systemd runs this machine."""
+    """Raise SYS011 unless systemd is running on this machine."""
     if not Path("/run/systemd/system").is_dir():
-        remedy = "In a container, have its manager run `rosplc run FILE`; --root DIR prepares an image."
+        remedy = "In a container, run `rosplc run FILE` instead. To prepare an image, use --root DIR."
         raise SetupError("SYS011", "systemd is not running on this machine", remedy=remedy)
 
 
@@ -438,7 +438,7 @@ def _absolute(program: Path) -> Path:
     beside = Path(sys.executable).with_name("rosplc")  # python -m rosplc
     found = str(beside) if beside.exists() else shutil.which("rosplc")
     if found is None:
-        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Run it by its full path.")
+        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Use its full path.")
     return Path(found).absolute()
 
 
@@ -449,7 +449,7 @@ def _group_name(group: str | int | None) -> str:
         return grp.getgrgid(group).gr_name
     except KeyError:
         what = f"this machine has no group with the ID {group} (shm.group)"
-        raise SetupError("SYS011", what, remedy="Set shm.group to a name to create the group.") from None
+        raise SetupError("SYS011", what, remedy="Set shm.group to a name; the group is created.") from None
 
 
 def _notes(plan: Plan, config: Config) -> list[str]:
@@ -465,6 +465,6 @@ def _notes(plan: Plan, config: Config) -> list[str]:
     if not plan.group:
         notes.append(
             f"shm.group is not set: only {plan.user} and root can use the objects; a PLC runtime that runs "
-            "as another user needs a common group"
+            "as another user needs to share a group with the bridge"
         )
     return notes

@@ -1,7 +1,7 @@
-"""Between a running bridge and systemd: the watchdog is fed only while messages can be carried.
+"""Reports from a running bridge to systemd, whose watchdog is reset only while messages can be carried.
 
 A service reports with a datagram of ``KEY=value`` lines to the socket in ``NOTIFY_SOCKET`` (sd_notify(3)).
-The libraries for it bring more code than these lines, or a C library that a wheel cannot count on.
+A library would have more code than this module, or require a C library that a wheel cannot rely on.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _LEAST_S = 0.05
 
 
 class Notifier:
-    """The way to the service manager that started this process; silent where there is none.
+    """The connection to the service manager that started this process; does nothing without one.
 
-    ``address`` is ``NOTIFY_SOCKET``, empty where none listens; ``watchdog_s`` is how often systemd expects a
-    sign of life at least, in seconds, 0 for never.
+    ``address`` is ``NOTIFY_SOCKET``, empty without a service manager; ``watchdog_s`` is the longest interval
+    in seconds between two watchdog messages that systemd tolerates, 0 for no watchdog.
     """
 
     def __init__(self, address: str = "", watchdog_s: float = 0.0) -> None:
@@ -37,7 +37,7 @@ class Notifier:
 
     @classmethod
     def of(cls, environment: Mapping[str, str] | None = None) -> Notifier:
-        """Return the way that the environment describes; None for the process's."""
+        """Return the notifier that the environment describes; None: the environment of this process."""
         if environment is None:
             environment = os.environ
         try:
@@ -74,7 +74,7 @@ class Supervisor:
         self._running = False
 
     def look(self) -> float:
-        """Report changes, and feed the watchdog unless the bridge is stuck; return the seconds to wait."""
+        """Report changes, and reset the watchdog unless the bridge is stuck; return the seconds to wait."""
         status = self._bridge.status()
         if not status.running:
             # Before the start, or after the end began: systemd has other times for these.
@@ -93,13 +93,13 @@ class Supervisor:
         return self._period_s
 
     def ended(self) -> None:
-        """Report that the bridge stops, if it did run."""
+        """Report that the bridge is stopping, if it was running."""
         if self._running:
             self._notifier.tell("STOPPING=1")
         self._running = False
 
     def run(self, stop: threading.Event) -> None:
-        """Look until ``stop`` is set."""
+        """Report until ``stop`` is set."""
         while not stop.wait(self._guarded()):
             pass
         self.ended()
@@ -114,7 +114,7 @@ class Supervisor:
 
 @contextmanager
 def supervised(bridge: Bridge, environment: Mapping[str, str] | None = None) -> Iterator[None]:
-    """Report a bridge's state to the service manager, if any; it may be started and stopped inside."""
+    """Report a bridge's state to the service manager, if any; the bridge may start and stop inside."""
     notifier = Notifier.of(environment)
     if not notifier.address:
         yield

@@ -1,7 +1,7 @@
-"""The channel: a shared-memory object as spec/shm-format.md describes it; a topic has one in each direction.
+"""The channel: a shared-memory object (spec/shm-format.md) that carries a topic in one direction.
 
-A bridge opens an :class:`OwnedChannel`; everybody else uses :func:`attach`. This package moves
-bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`rosplc.codec`.
+A bridge opens an :class:`OwnedChannel`; all other programs use :func:`attach`. This package transfers
+bytes; :mod:`rosplc.layout` and :mod:`rosplc.codec` define the meaning of a record.
 """
 
 from rosplc._core import Group, Reader, Region, Sink, SlotInfo, Writer, beat, distance

@@ -1,8 +1,8 @@
-"""Opening an object that a bridge made: the state machine of spec/shm-format.md, section 9.
+"""Opening an object that a bridge created: the state machine of spec/shm-format.md, section 9.
 
-await the file → plain and readable → identity agrees → map → (claim) → use, until it is retired; then the
-caller opens the name again. A claim may be replaced once its holder has been silent for long enough, by
-the clock of the one that wants it; the classes for that take one look per call.
+Await the file → check that it is plain and readable → check the identity → map → (claim) → use, until it is
+retired; then the caller opens the name again. A claim may be replaced after its holder has been silent for
+long enough, by the clock of the new claimant; the classes for this make one check per call.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _T = TypeVar("_T")
 
 
 def silence_ns(beat_ms: int) -> int:
-    """Return how long, in ns, a beat may stay unchanged before its claim counts as abandoned (M6, M9)."""
+    """Return how long, in ns, a heartbeat may stay unchanged until its claim counts as abandoned (M6, M9)."""
     return max(_life_ns(beat_ms), spec.MIN_SILENT_MS * 1_000_000)
 
 
@@ -37,11 +37,11 @@ def _life_ns(beat_ms: int) -> int:
 
 
 class Liveness:
-    """Judge one peer from its beat and head, both 32-bit words.
+    """Detect whether a peer is alive from its heartbeat and head, both 32-bit words.
 
-    A peer is alive from the first change that is seen until nothing has changed for three periods. What has
-    not changed since the first look has shown no life. ``period_ms`` 0 counts as a third of a second, more
-    than 10 s as 10 s (a damaged word must not keep a dead peer alive for months).
+    A peer is alive from the first observed change until nothing has changed for three periods. A word that
+    has not changed since the first observation is no sign of life. ``period_ms`` 0 counts as a third of a
+    second, more than 10 s as 10 s (a damaged word must not keep a dead peer alive for months).
     """
 
     def __init__(self, period_ms: int) -> None:
@@ -50,7 +50,7 @@ class Liveness:
         self._changed_ns: int | None = None
 
     def observe(self, beat: int, head: int, now_ns: int) -> bool:
-        """Note the words at ``now_ns`` of a monotonic clock, and return whether the peer lives."""
+        """Note the words at ``now_ns`` of a monotonic clock, and return whether the peer is alive."""
         if self._seen != (beat, head):
             if self._seen is not None:
                 self._changed_ns = now_ns
@@ -59,7 +59,7 @@ class Liveness:
 
 
 class Peer:
-    """The other side of a channel, by the observer's own clock."""
+    """The other side of a channel, judged by the observer's own clock."""
 
     def __init__(self) -> None:
         self.alive = False  # the beat or the sequence changed within the time that the peer promises
@@ -69,7 +69,7 @@ class Peer:
         self._since_ns = 0
 
     def observe(self, beat: int, sequence: int, beat_ms: int, now_ns: int) -> bool:
-        """Take in the words as they are at ``now_ns``, a monotonic time; return whether the peer is alive."""
+        """Note the words at ``now_ns``, a monotonic time; return whether the peer is alive."""
         if beat_ms != self._beat_ms:
             # Another writer, or the first one after its claim: its own promise counts.
             self._beat_ms, self._liveness = beat_ms, Liveness(beat_ms)
@@ -81,11 +81,11 @@ class Peer:
 
 
 class WriterProcess:
-    """Whether the process behind a claim runs; for people, and never a reason to take the claim (M6).
+    """Whether the process of a claim is running; for information only, never a reason to replace it (M6).
 
-    A process number means nothing in another PID namespace, and the kernel uses it again. So a process is
-    taken for the writer's only if it has the object (``device``, ``inode``) mapped writable, and is then
-    followed by a pidfd.
+    A process number is meaningless in another PID namespace, and the kernel reuses numbers. Therefore, a
+    process counts as the writer only if it has the object (``device``, ``inode``) mapped writable; then a
+    pidfd tracks it.
     """
 
     def __init__(self, device: int, inode: int) -> None:
@@ -94,7 +94,7 @@ class WriterProcess:
         self._fd = -1
 
     def runs(self, claim: int, pid: int) -> bool | None:
-        """Return whether it runs; None where that is not known, as of another user's process."""
+        """Return whether the process is running; None if unknown, such as for another user's process."""
         if (claim, pid) != self._seen:
             self.close()
             self._seen = claim, pid
@@ -112,14 +112,14 @@ class WriterProcess:
         return not poll.poll(0)
 
     def close(self) -> None:
-        """Follow it no more."""
+        """Stop tracking the process."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
 
 
 class _Silence:
-    """How long a line has not changed, for one observer."""
+    """The time for which a line has not changed, for one observer."""
 
     def __init__(self) -> None:
         self._seen: tuple[int, ...] = ()
@@ -133,7 +133,7 @@ class _Silence:
 
 
 class WriterClaim:
-    """The attempt to become the writer of a region (M6)."""
+    """An attempt to become the writer of a region (M6)."""
 
     def __init__(self, region: Region, beat_ms: int) -> None:
         self._region = region
@@ -149,9 +149,9 @@ class WriterClaim:
 
 
 class ReaderClaim:
-    """The attempt to get a reader line (M9); ``lines`` are the indices that may be used.
+    """An attempt to claim a reader line (M9); ``lines`` are the indices that may be used.
 
-    With ``answer`` it is line 0 of a request or goal object, by one that acts on calls (M27).
+    With ``answer``, it is line 0 of a request or goal object, for a reader that acts on calls (M27).
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class ReaderClaim:
         self._silences = [_Silence() for _ in range(READER_LINES)]
 
     def attempt(self, now_ns: int) -> bool:
-        """Return whether the reader has a line now; a free one is preferred to a silent one."""
+        """Return whether the reader has a line now; a free line is preferred to a silent one."""
         states = {index: self._region.words(reader_line(index), 3) for index in self._lines}
         for index, (claim, _, _) in states.items():
             if claim == 0 and self.attempt_from(index, 0):
@@ -178,11 +178,11 @@ class ReaderClaim:
         return False
 
     def patience_ns(self) -> int:
-        """Return after how long one of the lines must have been silent, if its holder is gone."""
+        """Return the longest time until the line of a dead holder counts as silent."""
         return max(silence_ns(self._region.words(reader_line(index), 3)[2]) for index in self._lines)
 
     def attempt_from(self, index: int, expected: int) -> bool:
-        """Claim a line from the holder ``expected``; return False if it has another one by now."""
+        """Claim a line from the holder ``expected``; return False if the line has another holder by now."""
 
         def claim() -> bool:
             self._reader.claim(index, expected, self._beat_ms, self._task, self._answer)
@@ -192,7 +192,7 @@ class ReaderClaim:
 
 
 def _unless_claimed(claim: Callable[[], _T]) -> _T | None:
-    """Return None where another was faster (SHM114)."""
+    """Return None if another claimant was faster (SHM114)."""
     try:
         return claim()
     except ChannelError as error:
@@ -202,7 +202,7 @@ def _unless_claimed(claim: Callable[[], _T]) -> _T | None:
 
 
 def take_over_writer(region: Region, beat_ms: int) -> Writer:
-    """Claim the writer's line from any holder: for the bridge that holds the name's lock."""
+    """Claim the writer's line from any holder; for the bridge that holds the name's lock."""
     while True:
         epoch = region.word(WRITER_LINE["writer_epoch"])
         if (writer := _unless_claimed(lambda epoch=epoch: Writer(region, epoch, beat_ms))) is not None:  # type: ignore[misc]
@@ -210,17 +210,17 @@ def take_over_writer(region: Region, beat_ms: int) -> Writer:
 
 
 def take_over_line(region: Region, reader: Reader, index: int, beat_ms: int, task: str) -> None:
-    """Claim a reader line from any holder: for the bridge that holds the name's lock."""
+    """Claim a reader line from any holder; for the bridge that holds the name's lock."""
     claim = ReaderClaim(region, reader, beat_ms, task, range(index, index + 1))
     while not claim.attempt_from(index, region.word(reader_line(index))):
         pass
 
 
 def start_of(region: Region, *, latched: bool, line: int | None = None) -> int:
-    """Return the ``last`` that a new reader starts from (M14).
+    """Return the ``last`` from which a new reader starts (M14).
 
-    With ``latched``, before everything that the object holds; with ``line``, from that line's ``taken`` if it
-    belongs to the object's generation.
+    With ``latched``, it is before all messages in the object; with ``line``, it is that line's ``taken`` if
+    this belongs to the object's generation.
     """
     if line is not None:
         at = reader_line(line)
@@ -244,11 +244,11 @@ def attach(
     part: Part = Part.TOPIC,
     client: str = "",
 ) -> Attached:
-    """Open an object; None accepts any layout id (16 hexadecimal digits), record size (bytes) and direction.
+    """Open an object; None accepts any layout id (16 hexadecimal digits), record size (bytes) or direction.
 
-    ``topic`` is as ROS writes it, ``client`` one of several uses of a service or action; ``write`` maps it
-    writable, to publish or to claim a reader line. Raises ChannelError: the first check of section 9 that
-    fails, SHM101 to SHM112 or SHM121; SHM118 if the topic is not valid; SHM123 if the directory cannot be
+    ``topic`` is the ROS name, ``client`` one of several uses of a service or action; ``write`` maps it
+    writable, to publish or to claim a reader line. Raises ChannelError for the first failing check of section
+    9, SHM101 to SHM112 or SHM121; SHM118 if the topic is not valid; SHM123 if the directory cannot be
     used.
     """
     path = namespace.path(topic, part, client)
@@ -262,9 +262,9 @@ def attach(
     found = attached.identity
     what = ""
     if layout_id not in (None, found.layout_id):
-        what = f"layout id is {found.layout_id}, not {layout_id}"
+        what = f"the layout id is {found.layout_id}, not {layout_id}"
     elif record_size not in (None, found.record_size):
-        what = f"records have {found.record_size} bytes, not {record_size}"
+        what = f"the records have {found.record_size} bytes, not {record_size}"
     if what:
         attached.close()
         raise channel_error(112, what, attached.path)
@@ -272,7 +272,7 @@ def attach(
 
 
 def open_object(path: str) -> Attached:
-    """Map an object read-only, by its file: a shortened name does not give its topic away.
+    """Map an object read-only by its file path, because a shortened name does not contain the topic.
 
     Raises ChannelError as :func:`attach`.
     """
@@ -286,7 +286,7 @@ def open_object(path: str) -> Attached:
 
 
 def belong_together(found: Mapping[Part, Attached]) -> None:
-    """Raise SHM112 unless the objects of one use name each other's layout ids (section 11.1)."""
+    """Raise SHM112 unless the objects of one use contain each other's layout ids (section 11.1)."""
     ids = {part.word: one.identity.layout_id for part, one in found.items()}
     for part, one in found.items():
         others = {word: layout_id for word, layout_id in ids.items() if word != part.word}
@@ -314,7 +314,7 @@ class Mapped(ABC):
         self._users: list[Reader | Writer] = []
 
     def slot(self, sequence: int) -> SlotState | None:
-        """Return the header of the slot that holds a message; None if no slot holds it (any more)."""
+        """Return the header of the slot that holds a message; None if no slot holds it, or no longer does."""
         identity = self.identity
         at = identity.slots_offset + sequence % identity.slot_count * identity.slot_stride
         words = self.region.words(at, spec.SLOT_HEADER_SIZE // 4)
@@ -323,7 +323,7 @@ class Mapped(ABC):
         return SlotState(words[0], words[3], words[9] << 32 | words[8], words[14])
 
     def snapshot(self) -> Snapshot:
-        """Return all counters and beats as they are now."""
+        """Return the current counters and heartbeats."""
         return Snapshot.of(self.region)
 
     @abstractmethod
@@ -338,7 +338,7 @@ class Mapped(ABC):
 
 
 class Attached(Mapped):
-    """An object that somebody else has made."""
+    """An object that another program created."""
 
     @cached_property
     def description(self) -> Description:
@@ -349,13 +349,13 @@ class Attached(Mapped):
     def reader(
         self, task: str = "", *, latched: bool = False, observe: bool = True, beat_ms: int = 1000
     ) -> Reader:
-        """Return a new reader, which has taken nothing and starts with the next message (M14).
+        """Return a new reader, which starts with the next message (M14).
 
-        ``task`` is its name, shown to people; 15 bytes are kept. ``latched`` starts with what the object
-        holds already. With ``observe`` it uses no reader line; otherwise it claims one that is free, or
-        silent within its time, and observes where there is none (M9). ``beat_ms`` is the longest time between
-        two beats, or takings, that it promises. Raises SHM122 if a line is wanted and the object is mapped
-        read-only; SHM111.
+        ``task`` is the reader's name, for display; 15 bytes are kept. ``latched`` starts with the messages in
+        the object. With ``observe``, the reader uses no reader line; otherwise, it claims a line that is free
+        or has been silent long enough, and observes if there is none (M9). ``beat_ms`` is the longest time
+        between two heartbeats or reads that the reader promises. Raises SHM122 if a line is needed and the
+        object is mapped read-only; SHM111.
         """
         self.valid()
         reader = Reader(self.region, start_of(self.region, latched=latched))
@@ -389,10 +389,10 @@ class Attached(Mapped):
         return WriterClaim(self.region, beat_ms)
 
     def writer(self, beat_ms: int = 1000) -> Writer:
-        """Claim the channel and return its writer, waiting until a silent holder has lost its claim.
+        """Claim the channel and return its writer, after waiting until a silent holder has lost its claim.
 
-        ``beat_ms`` is the longest time between two beats, or messages, that the writer promises. Raises
-        SHM114 if another writer lives; else as :meth:`writer_claim`.
+        ``beat_ms`` is the longest time between two heartbeats or messages that the writer promises. Raises
+        SHM114 if another writer is alive; otherwise as :meth:`writer_claim`.
         """
         claim = self.writer_claim(beat_ms)
         before = self.snapshot().writer
@@ -403,7 +403,7 @@ class Attached(Mapped):
                 return writer
             now = self.snapshot().writer
             if now.epoch == before.epoch and (now.beat, now.head) != (before.beat, before.head):
-                raise channel_error(114, f"process {now.pid} is already its writer", self.path)
+                raise channel_error(114, f"process {now.pid} is already the writer", self.path)
             before = now
             time.sleep(_LOOK_NS / 1e9)
 
@@ -412,7 +412,7 @@ class Attached(Mapped):
         self.region.check()
 
     def still_there(self) -> bool:
-        """Return whether the name still leads to this object."""
+        """Return whether the name still refers to this object."""
         return same_file(self.path, *self._file)
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """The two sides of a call: spec/shm-format.md, section 11 (M25 to M30).
 
-Neither waits, or knows what a record means. Messages are sent by a function that is called with
+Neither side waits or interprets records. Messages are sent by a function that is called with
 ``correlation``, ``status`` and ``client``: ``partial(writer.publish, record)``, or
 ``partial(writer.publish_wire, plan, data)``.
 """
@@ -21,30 +21,30 @@ from rosplc.shm.constants import READER_LINE
 
 Send = Callable[..., object]
 ENDS: Final = frozenset(range(spec.ANSWER_DONE, spec.ANSWER_ABORTED + 1)) - {spec.ANSWER_ACCEPTED}
-"""Answers that end a call."""
+"""The answers that end a call."""
 WORDS: Final = {
     Reason.NONE: "the reason is unknown",
     Reason.NO_SERVER: "no server was ready",
-    Reason.TIME_OUT: "nothing arrived within the time limit",
+    Reason.TIME_OUT: "no answer arrived within the time limit",
     Reason.REJECTED: "the request was refused",
     Reason.QUEUE_FULL: "too many calls are waiting",
-    Reason.EXPIRED: "the request waited for too long",
-    Reason.CALLER_GONE: "the caller no longer waits",
+    Reason.EXPIRED: "the request was in the queue for too long",
+    Reason.CALLER_GONE: "the caller is no longer waiting",
     Reason.PLC_DOWN: "the PLC program stopped, restarted or is silent",
     Reason.BRIDGE_RESTARTED: "the bridge was restarted",
     Reason.TOO_LARGE: "the message does not fit into the record",
     Reason.SERVER_GONE: "the server went offline before it answered",
     Reason.SERVER_FAILED: "the server reported a failure",
 }
-"""Why a call ended, for people."""
+"""The reasons why a call ended, as text."""
 _LINE_0 = spec.reader_line(0)
 
 
 class Caller:
     """The caller's side of one request or goal object, mapped writable: one call at a time (M25).
 
-    With ``follows_claim`` a call ends when the answerer's claim changes: in a bridge, which calls the PLC,
-    but not in a PLC, whose call is answered by the bridge that comes back (M27).
+    With ``follows_claim``, a call ends when the answerer's claim changes. This is for a bridge that calls the
+    PLC, but not for a PLC, whose call is answered by the restarted bridge (M27).
     """
 
     def __init__(self, asks: Mapped, writer: Writer, *, follows_claim: bool) -> None:
@@ -60,11 +60,11 @@ class Caller:
         self._begun = False  # what was taken stays so, whatever the line says later
 
     def claim(self) -> int:
-        """Return the answerer's claim of line 0; 0: nobody acts on calls, and none may be handed out."""
+        """Return the answerer's claim of line 0; 0: there is no answerer, and no call may be handed out."""
         return self._asks.region.word(_LINE_0)
 
     def call(self, send: Send, *, client: bytes = b"") -> int:
-        """Hand out a call and return its number. RuntimeError while another is open; else as ``send``."""
+        """Hand out a call, and return its number. RuntimeError while a call is open; else as ``send``."""
         if self.correlation:
             raise RuntimeError("a call is open")
         counter = self._counter + 1 & 0xFFFFFFFF or 1
@@ -77,13 +77,13 @@ class Caller:
         return correlation
 
     def again(self, send: Send, status: int) -> None:
-        """Publish the open call again with ``status`` added: ``ASK_CANCEL``, for example."""
+        """Publish the open call again with ``status`` added, for example ``ASK_CANCEL``."""
         send(correlation=self.correlation, status=spec.ASK_CALL | status, client=self._client)
 
     def withdraw(self, send: Send) -> bool:
-        """Withdraw the open call (M26), and return whether it may have been begun.
+        """Withdraw the open call (M26), and return whether it may have begun.
 
-        If not, it has ended and was not executed. If so, it remains open: an answer may still come.
+        If not, it has ended without execution. Otherwise, it remains open: an answer may still arrive.
         """
         self.again(send, spec.ASK_WITHDRAWN)
         if self.begun():
@@ -92,12 +92,12 @@ class Caller:
         return False
 
     def begun(self) -> bool:
-        """Return whether the answerer may have begun the open call; sure once it is withdrawn."""
+        """Return whether the answerer may have begun the open call; definite after the call is withdrawn."""
         self._begun = self._begun or self._writer.begun(self._first)
         return self._begun
 
     def lost(self, send: Send) -> int:
-        """Return how the open call has ended since the answerer's claim has changed (M27); 0 if not."""
+        """Return how the open call ended because the answerer's claim changed (M27); 0 if it did not end."""
         if not (self.correlation and self._follows_claim) or self.claim() == self.claimed:
             return 0
         try:
@@ -107,11 +107,11 @@ class Caller:
         return self._end(begun)
 
     def retired(self) -> int:
-        """Return how the open call has ended because the objects were retired or replaced; for a PLC."""
+        """Return how the open call ended because the objects were retired or replaced; for a PLC."""
         return self._end(self.begun()) if self.correlation else 0
 
     def answer(self, info: SlotInfo) -> int:
-        """Return the answer, ``info.status & ANSWER_MASK``, that a message is to the open call; 0 if none."""
+        """Return a message's answer to the open call, ``info.status & ANSWER_MASK``; 0 if it is none."""
         if info.correlation != self.correlation or not self.correlation:
             self.late += 1
             return 0
@@ -123,7 +123,7 @@ class Caller:
         return outcome
 
     def resume(self, info: SlotInfo) -> None:
-        """Take over the call in the newest message, not answered, of the writer before."""
+        """Take over the previous writer's unanswered call in its newest message."""
         taken = self._asks.region.word(_LINE_0 + READER_LINE["taken"])
         last = self._asks.slot(taken)
         of_this_call = last is None or last.correlation == info.correlation
@@ -137,7 +137,7 @@ class Caller:
 
 
 class Answerer:
-    """The answerer's side of one request or goal object; its reader has just claimed line 0."""
+    """The answerer's side of one request or goal object, whose reader has just claimed line 0."""
 
     def __init__(self, asks: Mapped, reader: Reader, answers: Mapped) -> None:
         self.correlation = 0  # the number of the call that is being carried out; 0 while there is none
@@ -152,11 +152,11 @@ class Answerer:
         self._reader = reader
 
     def take(self, info: SlotInfo) -> Literal["begin", "more", "withdrawn", "unknown", ""]:
-        """Return what a message just taken with :meth:`Reader.latest` is.
+        """Classify a message just taken with :meth:`Reader.latest`.
 
-        ``begin``: a call to be carried out, now ``correlation``. ``more``: a newer message of that call.
+        ``begin``: a call to execute, now ``correlation``. ``more``: a newer message of that call.
         ``withdrawn``: a call that was not begun and must not be; answer ``NOT_EXECUTED``. ``unknown``: a
-        call that an earlier answerer may have begun; answer ``FATE_UNKNOWN``. Empty: nothing to be done.
+        call that an earlier answerer may have begun; answer ``FATE_UNKNOWN``. Empty: nothing to do.
         """
         if not self._reader.begin() or info.correlation in (0, self._answered):
             return ""
@@ -170,7 +170,7 @@ class Answerer:
         return "begin"
 
     def answered(self, correlation: int) -> None:
-        """Note that a call has been ended with an answer: there is no second one (M29)."""
+        """Note that a call was ended with an answer: a second answer is not sent (M29)."""
         self._answered = correlation
         if correlation == self.correlation:
             self.correlation = 0
@@ -179,7 +179,7 @@ class Answerer:
 
 
 class GoalNotes:
-    """What a bridge leaves to the next one about its open goal, behind the slots of the goal object (M30)."""
+    """A bridge's notes for the next bridge about its open goal, after the slots of the goal object (M30)."""
 
     def __init__(self, goals: Mapped) -> None:
         identity, self._region = goals.identity, goals.region
@@ -198,7 +198,7 @@ class GoalNotes:
                 yield number, uuid, image[_NOTE.size :]
 
     def left(self, uuid: bytes) -> bytes:
-        """Return the note that an earlier bridge has left about a goal; empty if there is none."""
+        """Return the note that an earlier bridge left about a goal; empty if there is none."""
         return self._found.get(uuid, b"")
 
     def write(self, uuid: bytes, note: bytes) -> None:

@@ -1,19 +1,19 @@
-"""A classic topic: its lock, its memory, and both as one thing that comes and goes (spec/classic-mode.md).
+"""A classic topic: its lock, its memory, and both as one object that can be recreated (spec/classic-mode.md).
 
-The lock (section 2) is a named semaphore. Nothing here ever waits: a caller tries, and comes back. A
-semaphore does not know who holds it, so a holder's death can only be inferred: it was taken at every look for
-a long time, and nothing moved. Time is passed in.
+The lock (section 2) is a named semaphore. Nothing here ever waits: a caller tries, and tries again later. A
+semaphore does not record its holder, so a holder's death can only be inferred: the semaphore was taken at
+every check for a long time, and nothing changed. The time is passed in.
 
-The memory is one bare record at offset 0. It is read and written through its descriptor: peers of this kind
-call ftruncate on an object that others use, and a mapping would answer that with SIGBUS, whatever was checked
-before. A copy by system call comes back short instead.
+The memory is one bare record at offset 0. It is read and written through its descriptor: classic programs
+call ftruncate on an object that others use; with a mapping, this would cause SIGBUS, regardless of earlier
+checks. A copy by system call is short instead.
 
-Calls of the C library let no other thread in between: a holder of the lock keeps a PLC waiting, and a call
-that gives up the interpreter's lock, as those of ``os`` and of posix_ipc do, gets it back up to 5 ms later
-for each other busy thread. ``ctypes.PyDLL`` keeps it; none of these calls waits.
+Calls of the C library keep the interpreter's lock (``ctypes.PyDLL``): the PLC waits while this process holds
+the semaphore, and a call that releases the interpreter's lock, as those of ``os`` and posix_ipc do, gets it
+back up to 5 ms later for each other busy thread. None of these calls waits.
 
-Programs of this kind remove and make their objects whenever they start. What is held here is therefore
-compared with what the names lead to before and after every use, and attached again.
+Classic programs remove and create their objects whenever they start. Therefore, the objects held here are
+compared with those that the names refer to before and after every use, and attached again if they differ.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _lseek.argtypes = [ctypes.c_int, ctypes.c_int64, ctypes.c_int]
 
 
 class Semaphore:
-    """The named semaphore ``/dev/shm/sem.NAME``; ``create`` makes one of value 1. OSError as of sem_open."""
+    """The named semaphore ``/dev/shm/sem.NAME``; ``create``: with the value 1. OSError as for sem_open."""
 
     def __init__(self, name: str, *, create: bool = False, mode: int = 0o600) -> None:
         self._at: int | None = None
@@ -66,13 +66,13 @@ class Semaphore:
 
     @property
     def value(self) -> int:
-        """How many could enter now."""
+        """The value: the number of processes that could enter now."""
         found = ctypes.c_int()
         _done(_sem_getvalue(self._address(), ctypes.byref(found)))
         return found.value
 
     def enter(self) -> bool:
-        """Take one if there is one, at once; return whether there was."""
+        """Decrement the value if it is above 0, without waiting; return whether this succeeded."""
         if _sem_trywait(self._address()) == 0:
             return True
         if ctypes.get_errno() in (errno.EAGAIN, errno.EINTR):
@@ -80,11 +80,11 @@ class Semaphore:
         raise _error("")
 
     def leave(self) -> None:
-        """Give one back. Raises OSError (EOVERFLOW) if there are too many."""
+        """Increment the value. Raises OSError (EOVERFLOW) if it is at its maximum."""
         _done(_sem_post(self._address()))
 
     def close(self) -> None:
-        """Let go of it; it stays. A second call does nothing."""
+        """Close the semaphore, which stays. A second call does nothing."""
         at, self._at = self._at, None
         if at is not None:
             _sem_close(at)
@@ -99,7 +99,7 @@ class Semaphore:
 
 
 def _done(result: int) -> int:
-    """Return what a function of the C library has returned, unless it failed."""
+    """Return the result of a C library function; raise OSError if it failed."""
     if result < 0:
         raise _error("")
     return result
@@ -114,29 +114,29 @@ SEMAPHORE_SIZE = 32 if struct.calcsize("P") == 8 else 16
 """Bytes of glibc's sem_t for programs of this word size."""
 
 _SHARED = 128
-"""What sem_open of glibc leaves in ``private``: waiters may be in other processes."""
+"""The value that glibc's sem_open writes to ``private``: waiters may be in other processes."""
 _LARGEST = 2**31 - 1
 _LEAST_LOOKS = 20
 _MOST_EXTRA = 64
 _LONGEST_GAP = 4
-"""Looks further apart than this part of the time say nothing: this process itself was stopped."""
+"""Checks further apart than this fraction of the time are ignored: this process itself was stopped."""
 
 
 class Entry(enum.Enum):
-    """What came of an attempt to take the lock."""
+    """The result of an attempt to take the lock."""
 
     ENTERED = enum.auto()
     BUSY = enum.auto()
     RECOVERED = enum.auto()
-    """Its holder is no longer alive, and it is free now; what it guarded may be half written."""
+    """The holder is no longer alive, and the lock is free now; the memory may be half written."""
 
 
 class ClassicLock:
-    """A semaphore that either side may have made, opened or created with the value 1.
+    """A semaphore that either side may have created; opened, or created with the value 1.
 
     ``recover_after_ns`` is as in :class:`rosplc.config.plans.ClassicPlan`. Raises ChannelError SHM128 if it
-    cannot be opened, SHM133 if programs of another word size made it, SHM102 if a new one cannot be given to
-    its group, SHM121 if the name leads to no plain file.
+    cannot be opened, SHM133 if a program of another word size created it, SHM102 if the group of a new one
+    cannot be set, SHM121 if the name does not refer to a plain file.
     """
 
     def __init__(
@@ -157,11 +157,11 @@ class ClassicLock:
 
     @property
     def value(self) -> int:
-        """How many could enter now: 1 if it is free, 0 if it is taken."""
+        """The value: 1 if the lock is free, 0 if it is taken."""
         return self._semaphore.value
 
     def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
-        """Try to take the lock; ``alive``: its holder showed life since the last attempt."""
+        """Try to take the lock; ``alive``: the holder has shown signs of life since the last attempt."""
         if not self._semaphore.enter():
             return self._taken(now_ns, alive)
         self.held_since_ns = None
@@ -178,14 +178,14 @@ class ClassicLock:
         return Entry.ENTERED
 
     def leave(self) -> None:
-        """Give the lock back. Raises SHM128 if the semaphore does not take it."""
+        """Release the lock. Raises SHM128 if the semaphore refuses this."""
         try:
             self._semaphore.leave()
         except (OSError, ValueError) as error:
-            raise channel_error(128, f"cannot be released: {error}", self.path) from error
+            raise channel_error(128, f"cannot release the semaphore: {error}", self.path) from error
 
     def look(self, now_ns: int, *, alive: bool = False) -> Entry:
-        """Judge the lock without using it; ``ENTERED`` means that it is free."""
+        """Check the lock without taking it; ``ENTERED`` means that it is free."""
         value = self._semaphore.value
         if value == 0:
             return self._taken(now_ns, alive)
@@ -195,11 +195,11 @@ class ClassicLock:
         return Entry.ENTERED
 
     def in_place(self) -> bool:
-        """Return whether the name still leads to this semaphore."""
+        """Return whether the name still refers to this semaphore."""
         return same_file(self.path, *self._identity)
 
     def close(self) -> None:
-        """Let go of it; the semaphore stays. A second call does nothing."""
+        """Close the lock; the semaphore stays. A second call does nothing."""
         self._semaphore.close()
 
     def _taken(self, now_ns: int, alive: bool) -> Entry:
@@ -245,19 +245,19 @@ class ClassicLock:
                     _open_up(self.path, found, rights.mode)
                     continue
                 remedy = (
-                    "Run the bridge as the user that created it, or start the bridge first and give the "
-                    "semaphore to a common group with shm.group."
+                    "Run the bridge as the user that created the semaphore, or set shm.group to a common "
+                    "group and start the bridge first."
                 )
                 raise _denied("SHM128", "semaphore", self.path, remedy) from error
             except OSError as error:
-                raise channel_error(128, f"cannot be opened: {error.strerror}", self.path) from error
+                raise channel_error(128, f"cannot open the semaphore: {error.strerror}", self.path) from error
             # The library does not tell which file it opened; a name that did not change tells it.
             if same_file(self.path, found.st_dev, found.st_ino):
                 return semaphore, (found.st_dev, found.st_ino)
             semaphore.close()
 
     def _refuse_nonsense(self) -> None:
-        """Refuse a file that no C library made: glibc ends the process over a semaphore full of nonsense."""
+        """Refuse a file that is not a semaphore: with invalid content, glibc would abort the process."""
         try:
             fd = open_plain_file(self.path, os.O_RDONLY)
         except ChannelError:
@@ -278,7 +278,7 @@ class ClassicLock:
         except FileExistsError:
             return
         except OSError as error:
-            raise channel_error(128, f"cannot be created: {error.strerror}", self.path) from error
+            raise channel_error(128, f"cannot create the semaphore: {error.strerror}", self.path) from error
         made.close()
         self.created = True
         try:
@@ -293,7 +293,7 @@ class ClassicLock:
 
 
 def _open_up(path: Path, found: os.stat_result, mode: int) -> None:
-    """Set the mode of a file that may not be opened, and of no other that takes its name meanwhile."""
+    """Set the mode of a file that cannot be opened, but never of another file that has taken its name."""
     with suppress(FileNotFoundError):
         fd = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
         try:
@@ -306,7 +306,7 @@ def _open_up(path: Path, found: os.stat_result, mode: int) -> None:
 def _other_kind(path: Path, size: int) -> ChannelError:
     if size in (16, 32):
         bits, here = size * 2, SEMAPHORE_SIZE * 2
-        what = f"a {bits}-bit program created it ({size} bytes), but this is a {here}-bit process"
+        what = f"a {bits}-bit program created the semaphore, but this is a {here}-bit process"
         return channel_error(133, what, path)
     return channel_error(128, f"the file has {size} bytes, but a semaphore has {SEMAPHORE_SIZE}", path)
 
@@ -315,11 +315,11 @@ _TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{8,16}")
 
 
 class ClassicMemory:
-    """An object that either side may have made, opened or created; read rights suffice without ``write``.
+    """An object that either side may have created; opened or created. Without ``write``, reading suffices.
 
     Raises ChannelError SHM129 if it is smaller than the record, SHM102 without the rights, SHM117 without
-    room for a new one, SHM121 if the name leads to no plain file or to a hard link, SHM123 without a
-    directory.
+    room for a new one, SHM121 if the name does not refer to a plain file or the file has hard links, SHM123
+    without a directory.
     """
 
     def __init__(self, path: Path, record_size: int, *, write: bool = True, rights: Rights = USUAL) -> None:
@@ -336,8 +336,8 @@ class ClassicMemory:
                 if error.code == "SHM102":
                     remedy = (
                         "Only root can use the objects of a PLC runtime that runs as root: run the bridge as "
-                        "the runtime's user, or start the bridge first and give the object to a common "
-                        "group with shm.group."
+                        "the runtime's user, or set shm.group to a common group and start the bridge "
+                        "first."
                     )
                     raise _denied("SHM102", "memory", path, remedy) from error
                 if error.code != "SHM101":
@@ -361,7 +361,7 @@ class ClassicMemory:
 
     @property
     def odd_size(self) -> bool:
-        """Whether it is larger than the record by something else than a rounding to pages."""
+        """Whether it is larger than the record by more than rounding to pages explains."""
         return self.size > self.record_size and self.size % mmap.PAGESIZE != 0
 
     def read(self) -> bytes:
@@ -379,11 +379,11 @@ class ClassicMemory:
             raise channel_error(117, "a record was only partly written", self.path)
 
     def in_place(self) -> bool:
-        """Return whether the name still leads to this object."""
+        """Return whether the name still refers to this object."""
         return same_file(self.path, *self.identity)
 
     def close(self) -> None:
-        """Let go of it; the object stays. A second call does nothing."""
+        """Close the memory; the object stays. A second call does nothing."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -404,7 +404,7 @@ class ClassicMemory:
 
 
 def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
-    """Remove the temporary name of an object whose creator was killed between giving it its name and this."""
+    """Remove the temporary name of an object whose creator was killed just after giving it its final name."""
     for name in directory.glob("rosplc.new.*"):
         if _TEMPORARY.fullmatch(name.name) and same_file(name, *identity):
             with suppress(OSError):
@@ -444,21 +444,21 @@ class ClassicObject:
 
     @property
     def recovered(self) -> int:
-        """How often a lock was freed."""
+        """How often the lock was freed for a dead holder."""
         return self._counted[0] + (self.lock.recovered if self.lock else 0)
 
     @property
     def mended(self) -> int:
-        """How often a lock would have let in more than one."""
+        """How often the lock would have admitted more than one holder."""
         return self._counted[1] + (self.lock.mended if self.lock else 0)
 
     @property
     def doubtful(self) -> bool:
-        """Whether somebody may be in the memory at the same time: without a lock always."""
+        """Whether another program may access the memory at the same time; always True without a lock."""
         return self.lock is None or self.lock.doubtful
 
     def claim(self) -> None:
-        """Keep other bridges away from this memory, whatever their prefix; raises as its lock does."""
+        """Exclude other bridges from this memory, regardless of prefix; raises as :class:`NameLock`."""
         path = self._directory / f"rosplc.classic.{self.name}"
         self._claim = NameLock(path, self._rights)
 
@@ -467,7 +467,7 @@ class ClassicObject:
         return self._claim is not None and self._claim.still_there()
 
     def attach(self) -> None:
-        """Open memory and semaphore, and make what is missing; raises as their classes do."""
+        """Open the memory and semaphore, and create what is missing; raises as their classes do."""
         self.detach()
         place, given = self._directory, self._rights
         memory = ClassicMemory(place / self.name, self.record_size, write=self._write, rights=given)
@@ -482,42 +482,42 @@ class ClassicObject:
         self.attachments += 1
 
     def in_place(self) -> bool:
-        """Return whether both names still lead to what is held here."""
+        """Return whether both names still refer to the objects held here."""
         if self.memory is None:
             return False
         return self.memory.in_place() and (self.lock is None or self.lock.in_place())
 
     def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
-        """Try to take the lock; without a semaphore that succeeds."""
+        """Try to take the lock; without a semaphore, this always succeeds."""
         return self.lock.enter(now_ns, alive=alive) if self.lock else Entry.ENTERED
 
     def look(self, now_ns: int, *, alive: bool = False) -> Entry:
-        """Judge the lock without using it."""
+        """Check the lock without taking it."""
         return self.lock.look(now_ns, alive=alive) if self.lock else Entry.ENTERED
 
     def leave(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         if self.lock:
             self.lock.leave()
 
     def read(self) -> bytes | None:
-        """Return the record, read inside the lock, twice if that is in doubt; None if a writer was seen."""
+        """Return the record, read while holding the lock, twice if in doubt; None if a writer was seen."""
         assert self.memory is not None
         image = self.memory.read()
         return None if self.doubtful and self.memory.read() != image else image
 
     def peek(self) -> bytes:
-        """Return the record as it stands, perhaps half written: to see that something changed."""
+        """Return the current record, which may be half written, to detect changes."""
         assert self.memory is not None
         return self.memory.read()
 
     def write(self, record: bytes) -> None:
-        """Write the record; to be called inside the lock."""
+        """Write the record; call this while holding the lock."""
         assert self.memory is not None
         self.memory.write(record)
 
     def detach(self) -> None:
-        """Let go of memory and lock; they stay."""
+        """Close memory and lock; both stay."""
         lock, self.lock = self.lock, None
         if lock is not None:
             recovered, mended = self._counted
@@ -528,7 +528,7 @@ class ClassicObject:
             memory.close()
 
     def close(self) -> None:
-        """Detach and give the claim back; a second call does nothing."""
+        """Detach and release the claim; a second call does nothing."""
         self.detach()
         claim, self._claim = self._claim, None
         if claim is not None:

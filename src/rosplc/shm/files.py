@@ -30,7 +30,7 @@ _ATTEMPTS = 16
 
 @dataclass(frozen=True)
 class Rights:
-    """Permission bits, owner and group of what is made; None for this process's."""
+    """Permission bits, owner and group of created files; None for those of this process."""
 
     mode: int = 0o660
     uid: int | None = None
@@ -38,11 +38,11 @@ class Rights:
 
     @classmethod
     def of(cls, found: os.stat_result) -> Rights:
-        """Return those of a file."""
+        """Return the rights of a file."""
         return cls(stat.S_IMODE(found.st_mode), found.st_uid, found.st_gid)
 
     def give(self, fd: int, path: Path) -> None:
-        """Set them. Raises SHM102 where that is not allowed."""
+        """Set the rights. Raises SHM102 if this is not permitted."""
         try:
             if self.uid is not None or self.gid is not None:
                 os.fchown(fd, -1 if self.uid is None else self.uid, -1 if self.gid is None else self.gid)
@@ -60,8 +60,8 @@ USUAL = Rights()
 def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o600) -> int:
     """Open a plain file, never a link, a device or a pipe, and return its descriptor.
 
-    Raises SHM101 if there is none, SHM121 if it is no plain file, SHM123 if the directory cannot be used,
-    SHM117 without room for a new one, or ``denied``.
+    Raises SHM101 if there is none, SHM121 if it is not a plain file, SHM123 if the directory cannot be used,
+    SHM117 without room for a new file, or ``denied`` if access is denied.
     """
     try:
         # Without O_NONBLOCK a pipe of this name would stop the caller for ever.
@@ -75,10 +75,10 @@ def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o
 
 
 def refuse_second_name(fd: int, path: Path) -> None:
-    """Refuse (SHM121) a file that has other names too, before anything of it is changed.
+    """Refuse (SHM121) a file that has other names, too, before anything in it is changed.
 
-    A user who may create names in the directory can give another file, which they may not write, the
-    name of an object (where fs.protected_hardlinks is off). Objects and lock files have one name each.
+    A user who may create names in the directory can link the name of an object to a file that they may not
+    write (if fs.protected_hardlinks is off). Objects and lock files have one name each.
     """
     count = os.fstat(fd).st_nlink
     if count > 1:
@@ -101,13 +101,13 @@ def _opening_error(error: OSError, path: Path, flags: int, denied: int) -> Excep
 
 
 def read_header(fd: int) -> tuple[bytes, int]:
-    """Return a private copy of the first 512 bytes (fewer if there are fewer), and the file's size."""
+    """Return a private copy of the first 512 bytes (fewer if the file is shorter), and the file's size."""
     size = os.fstat(fd).st_size
     return os.pread(fd, HEADER_SIZE, 0), size
 
 
 def same_file(path: Path, device: int, inode: int) -> bool:
-    """Return whether a name leads, without links, to a certain file."""
+    """Return whether a name refers, without links, to a certain file."""
     try:
         found = os.lstat(path)
     except OSError:
@@ -118,11 +118,11 @@ def same_file(path: Path, device: int, inode: int) -> bool:
 def create_complete(
     path: Path, temporary_prefix: str, head: bytes, size: int, rights: Rights, *, replace: bool = True
 ) -> int:
-    """Make a file of ``size`` bytes that begins with ``head`` visible, complete or not at all (M1).
+    """Create a file of ``size`` bytes that begins with ``head``, visible only when it is complete (M1).
 
     Return its descriptor, open for reading and writing. Raises ChannelError SHM117 without room, SHM102 if
-    owner or group cannot be set, SHM119 if another user's file is at the name, SHM123 if the directory cannot
-    be used; FileExistsError if anything is at the name, without ``replace``.
+    owner or group cannot be set, SHM119 if another user's file has the name, SHM123 if the directory cannot
+    be used; without ``replace``, FileExistsError if the name exists.
     """
     temporary, fd = _new_file(path.parent, temporary_prefix)
     try:
@@ -130,8 +130,8 @@ def create_complete(
             os.posix_fallocate(fd, 0, size)
             os.pwrite(fd, head, 0)
         except OSError as error:
-            number = 117 if error.errno in _NO_ROOM else 123
-            raise channel_error(number, f"{size} bytes: {error.strerror}", path.parent) from error
+            what = f"cannot allocate {size} bytes: {error.strerror}"
+            raise channel_error(117 if error.errno in _NO_ROOM else 123, what, path.parent) from error
         rights.give(fd, temporary)
         try:
             if replace:
@@ -152,7 +152,7 @@ def create_complete(
 
 
 def _new_file(directory: Path, prefix: str) -> tuple[Path, int]:
-    """Create a file that was not there; O_EXCL follows no link that somebody put at a guessed name."""
+    """Create a new file; with O_EXCL, a link that another user put at a guessed name is not followed."""
     for attempt in range(_ATTEMPTS):
         temporary = directory / f"{prefix}{secrets.token_hex(4)}"
         try:
@@ -164,44 +164,43 @@ def _new_file(directory: Path, prefix: str) -> tuple[Path, int]:
 
 
 def user_name(uid: int) -> str:
-    """Return a user's name, or the number where this machine knows none."""
+    """Return a user's name, or the number if it has no name on this machine."""
     with suppress(KeyError):
         return pwd.getpwuid(uid).pw_name
     return str(uid)
 
 
 def group_name(gid: int) -> str:
-    """Return a group's name, or the number where this machine knows none."""
+    """Return a group's name, or the number if it has no name on this machine."""
     with suppress(KeyError):
         return grp.getgrgid(gid).gr_name
     return str(gid)
 
 
 def describe_status(found: os.stat_result) -> str:
-    """Return owner, group and mode, ``root:root 0750``."""
+    """Return owner, group and mode, such as ``root:root 0750``."""
     return f"{user_name(found.st_uid)}:{group_name(found.st_gid)} {stat.S_IMODE(found.st_mode):04o}"
 
 
 def describe_owner(path: Path) -> str:
-    """Return a file's owner, group and mode, ``root:root 0750``."""
+    """Return a file's owner, group and mode, such as ``root:root 0750``."""
     try:
         return describe_status(path.stat())
     except OSError:
-        return "owned by another user"
+        return "belongs to another user"
 
 
 class NameLock:
     """An exclusive flock on a name's lock file, held until :meth:`release`.
 
-    The kernel drops it when the process dies, however that happens. The file itself stays: a removed lock
-    file would let two bridges hold "the" lock. Its size is one bit of memory: 1 once an object of a bridge
-    has been at the name, 0 before and after that was retired. Its time of change is when a holder was last
-    seen. The file gets the object's mode and group; ``rights.uid``, this process's user and root may own an
-    older one.
+    The kernel releases it whenever the process dies. The file itself stays: if it were removed, two bridges
+    could hold "the" lock. Its size stores one bit: 1 while a bridge's object has the name, 0 before that and
+    after the object was retired. Its modification time shows when a holder was last seen. The file gets the
+    object's mode and group; an existing file may belong to ``rights.uid``, this process's user or root.
 
-    Raises ChannelError SHM116 if another bridge holds it, SHM119 if the file is another user's, SHM102 if it
-    cannot be given to the group, SHM121 if it is no plain file or a hard link, SHM123 if the directory cannot
-    be used.
+    Raises ChannelError SHM116 if another bridge holds it, SHM119 if the file belongs to another user, SHM102
+    if its group cannot be set, SHM121 if it is not a plain file or has hard links, SHM123 if the directory
+    cannot be used.
     """
 
     def __init__(self, path: Path, rights: Rights) -> None:
@@ -231,7 +230,7 @@ class NameLock:
                 self.unheld_ns = max(0, time.time_ns() - status.st_mtime_ns)
         except OSError as error:
             self.release()
-            what = f"cannot set group and mode of the lock file: {error.strerror}"
+            what = f"cannot set the group and mode of the lock file: {error.strerror}"
             raise channel_error(102, what, path) from error
         except BaseException:
             self.release()
@@ -239,11 +238,11 @@ class NameLock:
 
     @property
     def held_an_object(self) -> bool:
-        """Whether a bridge has put an object at the name before, and not retired it."""
+        """Whether a bridge has created an object with the name and not retired it."""
         return os.fstat(self.fd).st_size > 0
 
     def remember_object(self, there: bool) -> None:
-        """Note that an object of this bridge has the name, or that it was retired."""
+        """Note that an object of this bridge has the name, or was retired."""
         # A size without content takes no page of a directory that may be full.
         os.ftruncate(self.fd, 1 if there else 0)
 
@@ -262,19 +261,19 @@ class NameLock:
             os.fchmod(self.fd, mode)
 
     def still_there(self) -> bool:
-        """Return whether the lock is held and the name still leads to the file that is locked."""
+        """Return whether the lock is held and the name still refers to the locked file."""
         if self.fd < 0:
             return False
         mine = os.fstat(self.fd)
         return same_file(self.path, mine.st_dev, mine.st_ino)
 
     def show(self) -> None:
-        """Note in the file's time stamp that the lock is held now; about once a second."""
+        """Update the file's time stamp to show that the lock is held; call this about once per second."""
         if self.fd >= 0:
             os.utime(self.fd)
 
     def release(self) -> None:
-        """Let go; a second call does nothing."""
+        """Release the lock; a second call does nothing."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1

@@ -1,4 +1,4 @@
-"""An object's identity, lines 0 and 1 of spec/shm-format.md, section 2; and a look at its other lines.
+"""An object's identity (lines 0 and 1 of spec/shm-format.md, section 2), and snapshots of its other lines.
 
 ```
 offset 0   magic version header_size state │ features ×2 kind direction
@@ -8,8 +8,8 @@ offset 0   magic version header_size state │ features ×2 kind direction
       96   created ×2 reader_lines identity_crc │ reserved ×4
 ```
 
-:meth:`Identity.parse` takes any bytes and trusts none of them. The C core checks them, in the order of
-section 9; this module explains what it found.
+:meth:`Identity.parse` accepts any bytes and trusts none of them. The C core checks them in the order of
+section 9; this module explains the result.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ _GEOMETRY = (
 
 
 def channel_error(number: int, what: str = "", where: Path | str = "") -> ChannelError:
-    """Return the ChannelError of a number of section 9; ``what`` defaults to the code's title."""
+    """Return the ChannelError for a number of section 9; ``what`` defaults to the code's title."""
     code = f"SHM{number:03d}"
     return ChannelError(code, what or CODES[code].title, where=str(where))
 
 
 def layout_id_words(layout_id: str) -> tuple[int, int]:
-    """Return ``layout_id_lo`` and ``layout_id_hi`` of 16 hexadecimal digits; ValueError for anything else."""
+    """Return ``layout_id_lo`` and ``layout_id_hi`` of 16 hexadecimal digits; ValueError for other texts."""
     raw = bytes.fromhex(layout_id)
     if len(raw) != 8 or len(layout_id) != 16:
-        raise ValueError(f"a layout id must have 16 hexadecimal digits, not {layout_id!r}")
+        raise ValueError(f"{layout_id!r} is not a layout id of 16 hexadecimal digits")
     low, high = struct.unpack("<II", raw)
     return low, high
 
@@ -64,7 +64,7 @@ def _round_up(value: int) -> int:
 
 @dataclass(frozen=True)
 class Identity:
-    """What an object is; sizes and offsets are bytes from its start."""
+    """The identity of an object; sizes and offsets are in bytes from its start."""
 
     direction: Direction
     slot_count: int
@@ -90,10 +90,10 @@ class Identity:
     ) -> Identity:
         """Lay out a new object: self-description at 512, then the slots, each part on a new line.
 
-        ``behind`` are bytes that follow the slots.
+        ``behind`` is the number of bytes after the slots.
 
-        Raises ValueError: If the number of slots is no power of two from 4 to 65536, the record is not of 1
-        to 2³⁰ bytes, or the object would exceed 2³¹ - 1 bytes.
+        Raises ValueError if the number of slots is not a power of two from 4 to 65536, the record does not
+        have 1 to 2³⁰ bytes, or the object would exceed 2³¹ - 1 bytes.
         """
         stride = _round_up(spec.SLOT_HEADER_SIZE + record_size)
         start = _round_up(spec.HEADER_SIZE + description_size)
@@ -142,9 +142,9 @@ class Identity:
     ) -> Identity:
         """Check and return the identity in ``first``, a private copy of the first 512 of ``size`` bytes.
 
-        Without ``direction`` both are accepted, with ``kind`` 0 all; ``where`` is the path, for messages.
-        Raises ChannelError SHM103 to SHM111, the first of section 9 that fails; no SHM111 with
-        ``accept_retired``.
+        Without ``direction``, both are accepted; ``kind`` 0 accepts all. ``where`` is the path, for messages.
+        Raises ChannelError SHM103 to SHM111 for the first check of section 9 that fails; with
+        ``accept_retired``, SHM111 is not raised.
         """
         available = size if len(first) >= spec.HEADER_SIZE else len(first)
         number = check_identity(first, available, direction or 0, kind)
@@ -162,20 +162,20 @@ def _words(first: bytes) -> dict[str, Any]:
 
 
 def _explain(number: int, first: bytes, size: int, direction: Direction | None, kind: int) -> str:
-    """Say what check ``number`` found; empty where the code's title says it all."""
+    """Return what check ``number`` found; empty if the code's title is sufficient."""
     if number == ErrorNumber.TOO_SMALL:
-        return f"object has {size} bytes, but a header has {spec.HEADER_SIZE}"
+        return f"the object has {size} bytes, but a header has {spec.HEADER_SIZE}"
     found = _words(first)
     version, ours = found["version"], spec.VERSION >> 16
     wanted_way = direction.word if direction is not None else "to_plc or to_ros"
     texts = {
-        ErrorNumber.NOT_ROSPLC: f"magic is 0x{found['magic']:08X}, not 0x{spec.MAGIC:08X}",
-        ErrorNumber.VERSION: f"format version is {version >> 16}.{version & 0xFFFF}, not {ours}.x",
-        ErrorNumber.FEATURES: f"features 0x{found['features_required']:08X} are required, but unknown",
+        ErrorNumber.NOT_ROSPLC: f"the magic number is 0x{found['magic']:08X}, not 0x{spec.MAGIC:08X}",
+        ErrorNumber.VERSION: f"the format version is {version >> 16}.{version & 0xFFFF}, not {ours}.x",
+        ErrorNumber.FEATURES: f"the features 0x{found['features_required']:08X} are required but unknown",
         ErrorNumber.IDENTITY: f"identity_crc is 0x{found['identity_crc']:08X}, not 0x{_crc(first):08X}",
         ErrorNumber.GEOMETRY: "inconsistent: " + ", ".join(f"{name} {found[name]}" for name in _GEOMETRY),
-        ErrorNumber.TRUNCATED: f"object has {size} bytes, but its header states {found['object_size']}",
-        ErrorNumber.DIRECTION: f"kind is {found['kind']} and direction {found['direction']}, "
+        ErrorNumber.TRUNCATED: f"the object has {size} bytes, but its header states {found['object_size']}",
+        ErrorNumber.DIRECTION: f"the kind is {found['kind']} and the direction {found['direction']}, "
         f"not {kind or 'known'} and {wanted_way}",
     }
     return texts.get(ErrorNumber(number), "")
@@ -230,7 +230,7 @@ class ReaderState:
 
 @dataclass(frozen=True)
 class SlotState:
-    """What tells a call's message apart (section 11.2)."""
+    """The data that identifies a message of a call (section 11.2)."""
 
     sequence: int
     status: int
@@ -240,7 +240,7 @@ class SlotState:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Every counter of an object; each word was loaded with one access, all of them not at once."""
+    """Every counter of an object; each word is loaded with one access, but not all at the same time."""
 
     state: int
     writer: WriterState
@@ -248,7 +248,7 @@ class Snapshot:
 
     @classmethod
     def of(cls, region: Region, *, free: bool = True) -> Snapshot:
-        """Look at a mapped object; ``free`` reader lines can be left out, where hundreds are looked at."""
+        """Take a snapshot of a mapped object; ``free=False`` omits free reader lines to save time."""
         words = region.words(spec.IDENTITY_SIZE, spec.CHANGING_WORDS)
         lines = [words[at : at + _WORDS] for at in range(0, len(words), _WORDS)]
         readers = tuple(
@@ -259,7 +259,7 @@ class Snapshot:
         return cls(region.word(spec.IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
 
     def bridge(self, direction: Direction) -> WriterState | ReaderState | None:
-        """Return the bridge's line of an object whose messages go this way; None if it has no claim."""
+        """Return the bridge's line of an object with this direction; None if the bridge has no claim."""
         if direction is Direction.TO_PLC:
             return self.writer if self.writer.epoch else None
         return next((line for line in self.readers if line.index == 0 and line.claim), None)
@@ -267,7 +267,7 @@ class Snapshot:
 
 @lru_cache(1024)
 def task_name(words: tuple[int, ...]) -> str:
-    """Return the name in the last words of a reader line."""
+    """Return the task name from the last words of a reader line."""
     name = b"".join(word.to_bytes(4, "little") for word in words).split(b"\0")[0]
     return name.decode("utf-8", "replace")
 

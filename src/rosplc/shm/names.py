@@ -1,4 +1,4 @@
-"""What objects carry, where they lie, and how they describe themselves: spec/shm-format.md, 6, 8.1, 11.1."""
+"""The kinds, names and self-descriptions of objects: spec/shm-format.md, 6, 8.1, 11.1."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CLIENT = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 
 
 class Part(enum.Enum):
-    """What an object carries; the value is the word ``kind`` in its identity."""
+    """The kind of messages in an object; the value is the word ``kind`` in its identity."""
 
     TOPIC = spec.KIND_TOPIC
     REQUEST = spec.KIND_REQUEST
@@ -39,7 +39,7 @@ class Part(enum.Enum):
         self.asks = number in (spec.KIND_REQUEST, spec.KIND_GOAL)
 
     def direction(self, server: Literal["plc", "ros"]) -> Direction:
-        """Return which way a service's or action's object carries messages, given where its server is."""
+        """Return the direction of a service's or action's object, depending on where its server is."""
         return Direction.TO_PLC if self.asks == (server == "plc") else Direction.TO_ROS
 
 
@@ -48,24 +48,24 @@ ACTION = (Part.GOAL, Part.RESULT, Part.FEEDBACK)
 
 
 class Call:
-    """A use of a service or action; its name in ROS is an attribute that is called as its kind."""
+    """A use of a service or action; the attribute named like its kind has its ROS name."""
 
     kind: ClassVar[Literal["service", "action"]]
     client: str
 
     @property
     def called(self) -> str:
-        """The service or action as ROS writes it."""
+        """The ROS name of the service or action."""
         return str(getattr(self, self.kind))
 
     @property
     def name(self) -> str:
-        """What people call it: its kind, its name in ROS and its client. Nothing else has this name."""
+        """The unique display name: the kind, the ROS name and the client."""
         return f"{self.kind} {self.called} {self.client}".rstrip()
 
 
 def fnv1a(text: str) -> int:
-    """Return the 32-bit FNV-1a hash of a text of ASCII characters."""
+    """Return the 32-bit FNV-1a hash of an ASCII text."""
     value = spec.FNV_OFFSET
     for byte in text.encode("ascii"):
         value = (value ^ byte) * spec.FNV_PRIME & 0xFFFFFFFF
@@ -86,7 +86,7 @@ class Namespace:
     def object_name(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> str:
         """Return the name of an object. Raises SHM118 if a name is not valid.
 
-        ``client`` names one of several uses of a service or action in the PLC; empty for none.
+        ``client`` is the name of one of several uses of a service or action in the PLC, or empty.
         """
         if not _TOPIC.fullmatch(topic):
             raise channel_error(118, f"{part.kind} {topic!r} does not match {_TOPIC.pattern}")
@@ -106,7 +106,7 @@ class Namespace:
         return Path(self.directory) / self._beside("l", topic, part, client)
 
     def temporary_prefix(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> str:
-        """Return the name of an object's temporaries up to their 8 random digits."""
+        """Return the name of an object's temporary files up to the 8 random digits."""
         return self._beside("n", topic, part, client) + "."
 
     def topics(self) -> list[str]:
@@ -118,17 +118,17 @@ class Namespace:
         try:
             names = sorted(entry.name for entry in Path(self.directory).iterdir())
         except OSError as error:
-            raise channel_error(123, f"cannot list: {error.strerror}", self.directory) from error
+            raise channel_error(123, f"cannot list files: {error.strerror}", self.directory) from error
         return [(name, part) for name in names if (part := self.part_of(name)) is not None]
 
     def part_of(self, object_name: str) -> Part | None:
-        """Return what an object of this name carries; None if it is no object of this prefix."""
+        """Return the part of an object with this name; None if it is not an object of this prefix."""
         prefix, _, rest = object_name.partition(".")
         letters, dot, _ = rest.partition(".")
         return _LETTERS.get(letters) if dot and prefix == self.prefix else None
 
     def name_of(self, object_name: str) -> tuple[str, str] | None:
-        """Return the topic, service or action of a name, and the client; None if shortened or not a name."""
+        """Return the topic, service or action of an object name, and the client; None if not possible."""
         part = self.part_of(object_name)
         if part is None:
             return None
@@ -144,9 +144,9 @@ class Namespace:
 
 
 class FileName(NamedTuple):
-    """What a file's name tells: ``role`` is ``t`` for an object, ``l`` for its lock, ``n`` for a temporary.
+    """A parsed file name; ``role`` is ``t`` for an object, ``l`` for its lock, ``n`` for a temporary file.
 
-    ``item`` and ``lock`` are the names of the object and of its lock.
+    ``item`` and ``lock`` are the names of the object and its lock.
     """
 
     prefix: str
@@ -156,7 +156,7 @@ class FileName(NamedTuple):
 
 
 def file_name(name: str) -> FileName | None:
-    """Take the name of an object, a lock or a temporary apart; None if it is none of these."""
+    """Parse the name of an object, lock or temporary file; None if it is none of these."""
     found = _FILE.fullmatch(name)
     if found is None:
         return None
@@ -176,7 +176,7 @@ _FILE = re.compile(
 
 @dataclass(frozen=True)
 class Description:
-    """What a tool needs to read a channel that it has never heard of."""
+    """The data that a tool needs to read an unknown channel."""
 
     topic: str  # as ROS writes it; a service's or action's name
     type: str  # ``"package/msg/Name"``
@@ -199,11 +199,11 @@ class Description:
 
     @property
     def notes(self) -> int:
-        """Bytes of the table behind the slots (section 11.6)."""
+        """Size in bytes of the table after the slots (section 11.6)."""
         return spec.GOAL_NOTES_SIZE if (self.part, self.direction) == (Part.GOAL, Direction.TO_PLC) else 0
 
     def plan(self, record_size: int, slots: int = spec.MIN_SLOTS, **made_by: Any) -> Identity:
-        """Return the identity of an object that describes itself so; ``made_by``: who made it, and when.
+        """Return the identity of an object with this description; ``made_by``: its creator and creation time.
 
         Raises ValueError as :meth:`Identity.plan`.
         """
@@ -219,7 +219,7 @@ class Description:
         )
 
     def to_json(self) -> bytes:
-        """Return the object's UTF-8 text. Raises ValueError: If it exceeds 2²⁰ bytes."""
+        """Return the object's UTF-8 text. Raises ValueError if it exceeds 2²⁰ bytes."""
         members: dict[str, Any] = {"format": spec.FORMAT, **{name: getattr(self, name) for name in _MEMBERS}}
         members["direction"] = self.direction.word
         members["limits"] = dict(self.limits)
@@ -239,9 +239,9 @@ class Description:
         try:
             members = json.loads(text.decode("utf-8"))
         except (ValueError, RecursionError) as error:
-            raise channel_error(113, f"self-description is not JSON: {error}", where) from error
+            raise channel_error(113, f"the self-description is not JSON: {error}", where) from error
         if not isinstance(members, dict):
-            raise channel_error(113, "self-description is not a JSON object", where)
+            raise channel_error(113, "the self-description is not a JSON object", where)
         values: dict[str, Any] = {}
         kinds: dict[str, type] = {"format": str, **dict.fromkeys(_MEMBERS, str), "limits": dict}
         if part is not Part.TOPIC:
@@ -249,26 +249,26 @@ class Description:
         for name, kind in kinds.items():
             value = members.get(name)
             if not isinstance(value, kind):
-                what = f"self-description's {name!r} is missing or not a {kind.__name__}"
+                what = f"the self-description's {name!r} is missing or not a {kind.__name__}"
                 raise channel_error(113, what, where)
             values[name] = value
         if not values.pop("format").startswith("rosplc 1."):
-            raise channel_error(113, "self-description's format is not rosplc 1.x", where)
+            raise channel_error(113, "the self-description's format is not rosplc 1.x", where)
         try:
             values["direction"] = {way.word: way for way in Direction}[values["direction"]]
             for layout_id in (values["layout_id"], *values.get("partners", {}).values()):
                 layout_id_words(layout_id)
         except (KeyError, TypeError, ValueError) as error:
-            raise channel_error(113, f"self-description has an invalid value: {error}", where) from error
+            raise channel_error(113, f"the self-description has an invalid value: {error}", where) from error
         found = values.pop("kind", "topic"), values.pop("part", "topic")
         if found != (part.kind, part.word):
-            what = f"self-description is of a {found[0]}'s {found[1]}, not a {part.kind}'s {part.word}"
+            what = f"the self-description is of a {found[0]}'s {found[1]}, not a {part.kind}'s {part.word}"
             raise channel_error(113, what, where)
         return cls(**values, part=part)
 
 
 def partnered(parts: Sequence[Description]) -> list[Description]:
-    """Return the descriptions of all objects of one use, each with the layout ids of the others."""
+    """Return the descriptions of all objects of one use, each with the others' layout ids."""
     ids = {one.part.word: one.layout_id for one in parts}
     others = ({word: ids[word] for word in ids if word != one.part.word} for one in parts)
     return [replace(one, partners=ours) for one, ours in zip(parts, others, strict=True)]

@@ -1,7 +1,7 @@
-"""The bridge's side of an object's life: spec/shm-format.md, sections 2 and 8.
+"""The bridge's side of an object's life cycle: spec/shm-format.md, sections 2 and 8.
 
-lock the name → sweep temporaries → adopt what agrees, or retire it and put a new object in
-its place → write or read → leave it for the next bridge, or retire it.
+Lock the name → remove temporary files → adopt a matching object, or retire it and create a new
+one in its place → write or read → leave it for the next bridge, or retire it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _LOOKS = 100
 class OwnedChannel(Mapped):
     """An object that this process created or adopted, and whose name it holds; a context manager.
 
-    Use :meth:`open`. In a process that is forked off, the parent's channels are closed.
+    Use :meth:`open`. In a forked child process, the parent's channels are closed.
     """
 
     def __init__(self, found: _Found) -> None:
@@ -62,21 +62,21 @@ class OwnedChannel(Mapped):
         rights: Rights = USUAL,
         bridge_id: bytes | None = None,
     ) -> OwnedChannel:
-        """Lock the name, then adopt the object found there if it agrees in everything, or replace it.
+        """Lock the name, then adopt the object with this name if it matches completely; otherwise replace it.
 
-        ``record_size`` is in bytes; ``slots`` is a power of two, 4 to 65536, and one less messages can wait.
-        ``bridge_id`` is 16 random bytes drawn when the bridge started; None draws them now.
+        ``record_size`` is in bytes; ``slots`` is a power of two, 4 to 65536; up to ``slots - 1`` messages can
+        wait. ``bridge_id`` is 16 random bytes drawn when the bridge started; None draws them now.
 
         Raises ChannelError SHM116 if another bridge holds the name, SHM117 without room, SHM118 if the name
-        is not valid, SHM119 for another user's object, SHM121 for no plain file or a hard link, SHM104 or
-        SHM103 for a file that no bridge has made, SHM123 if the directory cannot be used, SHM102 if owner or
-        group cannot be set; ValueError if slots or record_size are outside the format's limits.
+        is not valid, SHM119 for another user's object, SHM121 if it is not a plain file or has hard links,
+        SHM104 or SHM103 for a file that no bridge created, SHM123 if the directory cannot be used, SHM102 if
+        owner or group cannot be set; ValueError if slots or record_size exceed the format's limits.
         """
         return cls._open(namespace, [(description, record_size)], slots, rights, bridge_id)[0]
 
     @classmethod
     def take_over(cls, namespace: Namespace, found: Attached) -> OwnedChannel:
-        """Open an object that another has made, as it is. Raises as :meth:`open`."""
+        """Open an object that another process created, unchanged. Raises as :meth:`open`."""
         size, slots, rights = found.identity.record_size, found.identity.slot_count, found.path.stat()
         return cls.open(namespace, found.description, record_size=size, slots=slots, rights=Rights.of(rights))
 
@@ -91,9 +91,9 @@ class OwnedChannel(Mapped):
     ) -> tuple[OwnedChannel, ...]:
         """Open all objects of one use of a service or action; adopt all of them or none (section 11.1).
 
-        ``parts`` are the description and record size, in bytes, of each; ``partners`` is filled in here.
+        ``parts`` has the description and record size, in bytes, of each; ``partners`` is filled in here.
         Raises as :meth:`open`; then none is owned. If one is no longer :meth:`still_there`, close or retire
-        all and open them together again.
+        all, and open them together again.
         """
         complete = zip(partnered([one for one, _ in parts]), (size for _, size in parts), strict=True)
         return cls._open(namespace, complete, spec.MIN_SLOTS, rights, bridge_id)
@@ -134,9 +134,9 @@ class OwnedChannel(Mapped):
         return channels
 
     def writer(self, beat_ms: int = 1000) -> Writer:
-        """Claim the channel towards the PLC; the lock makes any other claim an old one.
+        """Claim the channel towards the PLC; since the lock is held, any other claim is outdated.
 
-        ``beat_ms`` is the longest time between two beats, or messages, that the writer promises. Raises
+        ``beat_ms`` is the longest time between two heartbeats or messages that the writer promises. Raises
         SHM110 if the direction is towards ROS.
         """
         if self.identity.direction is not Direction.TO_PLC:
@@ -146,10 +146,10 @@ class OwnedChannel(Mapped):
         return writer
 
     def reader(self, beat_ms: int = 1000, *, latched: bool = False) -> Reader:
-        """Claim line 0 of a channel towards ROS, and go on after what the bridge before had taken (M14).
+        """Claim line 0 of a channel towards ROS, and continue after the last message taken before (M14).
 
-        ``beat_ms`` is the longest time between two beats, or takings, that the reader promises. Without a
-        record of the one before, ``latched`` starts with what the object holds. Raises SHM110 if the
+        ``beat_ms`` is the longest time between two heartbeats or reads that the reader promises. If no
+        earlier reader is recorded, ``latched`` starts with the messages in the object. Raises SHM110 if the
         direction is towards the PLC.
         """
         if self.identity.direction is not Direction.TO_ROS:
@@ -160,15 +160,15 @@ class OwnedChannel(Mapped):
         return reader
 
     def still_there(self) -> bool:
-        """Return whether names lead to this object and its lock, and its identity is undamaged.
+        """Return whether the names still refer to this object and its lock, and its identity is intact.
 
-        If not, close this one and open the name again. To be called about once a second: it also notes, for
+        If not, close this object and open the name again. Call this about once per second: it also notes, for
         the next owner, that the name is held.
         """
         return self._lock.fd >= 0 and self.region.held(*self._held)
 
     def retire(self) -> None:
-        """Tell every process that has the object mapped to leave it, remove its name, and close."""
+        """Mark the object as retired for every process that has mapped it, remove its name, and close it."""
         self.region.store(spec.IDENTITY["state"], spec.STATE_RETIRED)
         if files.same_file(self.path, *self._file):
             self.path.unlink(missing_ok=True)
@@ -176,7 +176,7 @@ class OwnedChannel(Mapped):
         self.close()
 
     def close(self) -> None:
-        """Give claims and lock back and leave the object with its last state; a second call does nothing."""
+        """Release claims and lock; the object keeps its last state. A second call does nothing."""
         for user in self._users:
             user.release()
         self._lock.show()
@@ -193,10 +193,10 @@ _owned: weakref.WeakSet[OwnedChannel] = weakref.WeakSet()
 
 
 def _forked() -> None:
-    """A child owns nothing of its parent's.
+    """Close the parent's channels in a child process.
 
-    With the descriptor it would inherit the lock, and a worker that outlives its killed parent would
-    keep the next bridge out; and what it closes on its way out would be the parent's claims.
+    With the descriptor, the child would inherit the lock: a worker that outlives its killed parent would
+    lock out the next bridge, and at its exit it would release the parent's claims.
     """
     for channel in list(_owned):
         channel._abandon()
@@ -218,7 +218,7 @@ def _image(identity: Identity, text: bytes) -> bytes:
 
 
 def _sweep(directory: Path, temporary_prefix: str) -> None:
-    """Remove temporaries that a killed bridge has left; the caller holds the lock."""
+    """Remove temporary files that a killed bridge left; the caller holds the lock."""
     pattern = re.compile(re.escape(temporary_prefix) + "[0-9a-f]{8}")
     for name in os.listdir(directory):  # noqa: PTH208 - once per topic, and each may have thousands of others
         if name.startswith(temporary_prefix) and pattern.fullmatch(name):
@@ -227,7 +227,7 @@ def _sweep(directory: Path, temporary_prefix: str) -> None:
 
 
 class _Found:
-    """What is at a name whose lock this process holds."""
+    """The object found at a name whose lock this process holds."""
 
     def __init__(
         self, namespace: Namespace, description: Description, identity: Identity, rights: Rights
@@ -246,7 +246,7 @@ class _Found:
         self._made = False
 
     def look(self) -> None:
-        """Open and judge what is there."""
+        """Open and check the object."""
         _sweep(self.path.parent, self._temporary)
         try:
             self.fd = open_plain_file(self.path, os.O_RDWR, denied=119)
@@ -271,14 +271,14 @@ class _Found:
             self.close()
 
     def make(self) -> None:
-        """Put a new object at the name."""
+        """Create a new object with the name."""
         image = _image(self._identity, self.description.to_json())
         self.fd = create_complete(self.path, self._temporary, image, self._identity.object_size, self._rights)
         self.difference = self.difference or ""
         self._made = True
 
     def give_up(self) -> None:
-        """Leave the name as it was found, but for an object that was retired, and let it go."""
+        """Release the name, unchanged except for a retired object."""
         with contextlib.suppress(OSError):
             if self._made and self.fd >= 0:
                 retire_file(self.fd)
@@ -287,29 +287,29 @@ class _Found:
         self.lock.release()
 
     def close(self) -> None:
-        """Close the file; the object's mapping, if there is one, stays."""
+        """Close the file; a mapping of the object stays."""
         fd, self.fd = self.fd, -1
         if fd >= 0:
             os.close(fd)
 
 
 def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
-    """Raise SHM119, SHM121, SHM103 or SHM104 for what no bridge of this user has made."""
+    """Raise SHM119, SHM121, SHM103 or SHM104 for a file that no bridge of this user created."""
     status = os.fstat(fd)
     if status.st_uid not in (os.geteuid(), uid):
-        raise channel_error(119, f"it belongs to user {files.user_name(status.st_uid)}", path)
+        raise channel_error(119, f"the object belongs to user {files.user_name(status.st_uid)}", path)
     files.refuse_second_name(fd, path)
     first, size = files.read_header(fd)
     if ours or first[:4] == spec.MAGIC.to_bytes(4, "little"):
         return
     what = f"this name belongs to a file of {size} bytes that no bridge created"
-    remedy = "If nothing uses it, remove it; otherwise choose another prefix."
+    remedy = "If nothing uses the file, remove it; otherwise choose another prefix."
     code = "SHM103" if size < spec.HEADER_SIZE else "SHM104"
     raise ChannelError(code, what, where=str(path), remedy=remedy)
 
 
 def _difference(fd: int, description: Description, wanted: Identity, rights: Rights, where: str) -> str:
-    """Say why an object cannot be adopted (section 8.3); empty if it can."""
+    """Return why an object cannot be adopted (section 8.3); empty if it can."""
     status = os.fstat(fd)
     uid = os.geteuid() if rights.uid is None else rights.uid
     first, size = files.read_header(fd)
@@ -321,17 +321,17 @@ def _difference(fd: int, description: Description, wanted: Identity, rights: Rig
     here = status.st_uid, status.st_gid, stat.S_IMODE(status.st_mode)
     if here != (uid, group, stat.S_IMODE(rights.mode)):
         # Named, as it may have been open to everybody until now.
-        return f"owner, group or mode differ: they were {files.describe_status(status)}"
+        return f"its owner, group and mode were {files.describe_status(status)}"
     for name in ("layout_id", "record_size", "slot_count", "slot_stride"):
         if getattr(found, name) != getattr(wanted, name):
-            return f"{name} was {getattr(found, name)}, now {getattr(wanted, name)}"
+            return f"its {name} was {getattr(found, name)} and is now {getattr(wanted, name)}"
     if os.pread(fd, found.description_size, found.description_offset) != description.to_json():
-        return "the self-description differs"
+        return "its self-description differs"
     return _head_without_slot(fd, found)
 
 
 def _head_without_slot(fd: int, found: Identity) -> str:
-    """Say that head names a slot which does not hold it; empty if all is well."""
+    """Return a text if head refers to a slot with another message; otherwise empty."""
     head = _word(fd, spec.WRITER_LINE["head"])
     for _ in range(_LOOKS):
         slot = found.slots_offset + head % found.slot_count * found.slot_stride
@@ -350,7 +350,7 @@ def _word(fd: int, offset: int) -> int:
 
 
 def retire_file(fd: int) -> None:
-    """Set an object to RETIRED in place, before another takes its name (M19)."""
+    """Mark an object as RETIRED in place, before another object gets its name (M19)."""
     first, size = files.read_header(fd)
     # Of LIVE and RETIRED only one byte differs, so this is one access whatever the kernel copies with.
     # What is not ours by its magic is left as it is.

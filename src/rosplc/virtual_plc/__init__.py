@@ -1,4 +1,4 @@
-"""A scan-cycle stand-in for a PLC, for laptops and CI where no PLC runs."""
+"""A simulated PLC with scan cycles, for laptops and CI machines without a PLC."""
 
 from rosplc.virtual_plc.block import Message, OnStale, ReadBlock, WriteBlock
 from rosplc.virtual_plc.call_blocks import ActionClient, ActionServer, ServiceClient, ServiceServer

@@ -1,8 +1,8 @@
-"""The Read and the Write block: one ROS topic, as a program in a PLC sees or fills it.
+"""The Read and Write blocks, with which a PLC program reads or writes a ROS topic.
 
 A block finds its object as a PLC does (``spec/shm-format.md``, sections 8 and 9): it never creates, deletes
-or waits, compares state and layout id at every call, and opens at most once per scan over all blocks, with
-back-off.
+or waits. It compares state and layout id at every call. All blocks together make at most one attempt to open
+per scan, with back-off.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ _LONGEST_DELAY_NS = 1_000_000_000
 
 
 def error_number(error: ChannelError) -> int:
-    """Return the number of spec/shm-format.md, section 9, that a function block shows."""
+    """Return the error number (spec/shm-format.md, section 9) that a function block shows."""
     return int(error.code.removeprefix("SHM"))
 
 
 class _Instance(ABC):
-    """An instance of a block, which belongs to the task that calls it first.
+    """An instance of a block; it belongs to the task that calls it first.
 
     Attributes:
-        udiReentries: Calls that were turned away, because another task owns the instance or was inside.
+        udiReentries: Number of refused calls: another task owns the instance or was inside.
     """
 
     def __init__(self) -> None:
@@ -51,12 +51,12 @@ class _Instance(ABC):
 
     @property
     def eError(self) -> ErrorNumber | None:
-        """``udiError`` by its name; None while it is 0."""
+        """``udiError`` as an enumeration value; None while it is 0."""
         return ErrorNumber(self.udiError) if self.udiError else None
 
     @contextmanager
     def _entered(self) -> Iterator[Scan | None]:
-        """Give the scan that the call belongs to; None if another task owns the instance or is inside."""
+        """Provide the scan of the call; None if another task owns the instance or is inside."""
         scan = current_scan()
         if not self._busy.acquire(blocking=False):
             self.udiReentries += 1
@@ -73,10 +73,10 @@ class _Instance(ABC):
     def __call__(self) -> bool:
         """Run the block once.
 
-        Return ``xNew`` or ``xPublished``; of a client ``xDone``, of a server whether it has a call in hand.
+        Return ``xNew`` or ``xPublished``; for a client ``xDone``; for a server whether it has a current call.
 
         Raises:
-            LayoutError: LAY006, if a value to be sent does not fit its field; nothing is sent.
+            LayoutError: LAY006 if a value to send does not fit its field; nothing is sent.
         """
         with self._entered() as scan:
             if scan is not None:
@@ -89,7 +89,7 @@ class _Instance(ABC):
 
 
 class Block(_Instance):
-    """A block on one topic.
+    """A block for one topic.
 
     Attributes:
         layout: The layout of ``msg``, or None before it is known.
@@ -132,16 +132,16 @@ class Block(_Instance):
 
     @abstractmethod
     def _use_layout(self, layout: Layout) -> None:
-        """Make ``msg`` and the record."""
+        """Create ``msg`` and the record."""
 
     @abstractmethod
     def _adopt(self, attached: shm.Attached, scan: Scan) -> None:
-        """Begin to use another object."""
+        """Start to use another object."""
 
     # -- the way to the object
 
     def _object_of(self, scan: Scan) -> shm.Attached | None:
-        """Return the object if it is open and valid, taken into use if it is another one."""
+        """Return the object if it is open and valid; adopt it first if it is a new one."""
         attached, layout = self._follow(scan), self.layout
         if attached is not None and layout is not None and self._opened_times != self._opened:
             if self.msg is None or len(self._record) != layout.size:
@@ -152,7 +152,7 @@ class Block(_Instance):
         return attached
 
     def _follow(self, scan: Scan) -> shm.Attached | None:
-        """Return the object if it is open and still valid; else try once to open it. Nothing is raised."""
+        """Return the object if it is open and valid; otherwise, try once to open it. Raises nothing."""
         if self._attached is not None:
             try:
                 self._attached.valid()
@@ -174,16 +174,16 @@ class Block(_Instance):
         return self._attached
 
     def _drop(self, error: ChannelError) -> None:
-        """Give the object up because of ``error``; the next scans open it again."""
+        """Close the object because of ``error``; later scans open it again."""
         self._detach()
         self._failure = error_number(error), str(error)
 
     def _look_for_another(self, scan: Scan) -> None:
-        """Open the name again beside a silent object; switch if it leads to another one.
+        """Open the name again beside a silent object; switch if it refers to another object.
 
-        A bridge that finds its file removed makes a new object that the old one cannot
-        tell of (spec, section 8.6). The old object is kept until then, so that a claim and
-        the place in its stream survive a bridge that is only away for a while.
+        If a bridge's file is removed, the bridge creates a new object, which is not visible
+        from the old one (spec, section 8.6). Until then, the old object is kept, so that a
+        claim and the position in the stream survive a temporary absence of the bridge.
         """
         old = self._attached
         if old is None or scan.now_ns < self._due_ns or not scan.claim_open():
@@ -205,7 +205,7 @@ class Block(_Instance):
             self._attached = None
 
     def close(self) -> None:
-        """Let go of the object; the next call opens it again."""
+        """Close the object; the next call opens it again."""
         self._detach()
 
     def _back_off(self, scan: Scan) -> None:
@@ -258,29 +258,29 @@ OnStale = Literal["hold", "zero", "value"]
 
 
 class ReadBlock(Block):
-    """Reads a topic once per scan; the stand-in for a generated ``<Type>_Read``.
+    """Reads a topic once per scan; simulates a generated ``<Type>_Read``.
 
     Call the instance in every scan, then use its outputs, which are those of the PLC's block
-    (docs/reference/plc-blocks.md). A call waits for nothing and raises nothing about the other side: what is
-    wrong is in ``udiError``, and in words in ``reason``. ``msg`` is the message as a typed view, None before
-    its type is known; ``info`` its slot's header (stamp, flags); ``age`` is ``tAge`` in seconds;
+    (docs/reference/plc-blocks.md). A call never waits and raises no exception for problems of the other side:
+    they are in ``udiError``, and as text in ``reason``. ``msg`` is the message as a typed view, None before
+    its type is known; ``info`` is its slot header (stamp, flags); ``age`` is ``tAge`` in seconds;
     ``udiSources`` is None where the PLC has 16#FFFFFFFF.
 
     Args:
-        topic: The topic as ROS writes it.
-        layout: The compiled-in layout, as a PLC has it: an object with another one is refused (error 112).
-            None takes the object's own description.
+        topic: The topic's ROS name.
+        layout: The compiled-in layout, as in a PLC: an object with another layout is refused (error 112).
+            None uses the object's own description.
         prefix: The bridge's ``prefix:``.
-        directory: Where the objects stand.
+        directory: The directory of the objects.
         stale_after: Seconds without a new message after which ``xStale`` is set; None: never.
-        on_stale: What ``msg`` is then: the last message, every byte zero, or ``value``: as ``stale_value``.
-        stale_value: Field values for ``on_stale="value"``; fields left out are initial.
+        on_stale: What ``msg`` contains then: the last message, zeros, or with ``value`` the ``stale_value``.
+        stale_value: Field values for ``on_stale="value"``; omitted fields have initial values.
         mode: ``latest`` skips to the newest message and counts the skipped ones as lost; ``every`` takes
             them in order: one per call, :meth:`next` for more.
-        max_per_cycle: With ``every``: at most so many messages in one scan.
-        latched: Take the message that is there at the first attach as new.
-        beat_ms: The longest time between two calls that this block promises; tools take the PLC for gone
-            after three of them.
+        max_per_cycle: With ``every``: the maximum number of messages in one scan.
+        latched: Treat a message that is present at the first attach as new.
+        beat_ms: The longest time between two calls that this block promises; tools consider the PLC gone
+            after three such times.
     """
 
     _direction = shm.Direction.TO_PLC
@@ -329,7 +329,7 @@ class ReadBlock(Block):
         self._since_ns: int | None = None
 
     def next(self) -> bool:
-        """With ``mode="every"``: take one more message in this scan and return whether there was one.
+        """With ``mode="every"``, take one more message in this scan; return whether there was one.
 
         ``msg`` then shows it; ``xNew`` stays set, as in the PLC.
         """
@@ -349,7 +349,7 @@ class ReadBlock(Block):
     def each(self) -> Iterator[RecordView]:
         """Run the block and yield ``msg`` for each message that this scan may take.
 
-        The view shows the next message after each step, so copy what must outlive it.
+        After each step, the view shows the next message, so copy what you need for longer.
         """
         more = self()
         while more and self.msg is not None:
@@ -357,7 +357,7 @@ class ReadBlock(Block):
             more = self.next()
 
     def close(self) -> None:
-        """Let go of the object; the next call opens it again."""
+        """Close the object; the next call opens it again."""
         self._detach()
         self._reader = self._claim = None
         self.xAttached = self.xPeerAlive = False
@@ -460,8 +460,8 @@ class Message:
     """A message with settable fields; ``Layout.pack`` accepts it.
 
     Nested messages are :class:`Message` objects, arrays and sequences are lists, strings are
-    ``str``. A field that the type does not have cannot be set; whether a value fits its
-    field shows when the message is packed.
+    ``str``. A field that the type does not have cannot be set. Whether a value fits its field
+    is checked when the message is packed.
     """
 
     __slots__ = ("_type_name", "_values")
@@ -481,11 +481,11 @@ class Message:
 
     @classmethod
     def of(cls, layout: Layout, view: RecordView) -> Message:
-        """Return a copy of a record that can be changed."""
+        """Return a mutable copy of a record."""
         return _copy(layout.root, view)
 
     def update(self, values: Mapping[str, Any]) -> None:
-        """Set the named fields; a mapping for a nested message sets only what it names.
+        """Set the given fields; a mapping for a nested message sets only the fields in the mapping.
 
         Raises:
             AttributeError: A name is not a field of the type.
@@ -550,11 +550,11 @@ def _copy(node: StructNode, view: RecordView) -> Message:
 
 
 class WriteBlock(Block):
-    """Publishes ``msg`` on a topic; the stand-in for a generated ``<Type>_Write``.
+    """Publishes ``msg`` on a topic; simulates a generated ``<Type>_Write``.
 
     Set ``msg`` and ``xEnable``, then call the instance once per scan: each call with ``xEnable`` publishes
-    one message. ``msg`` is None before the type is known; else every field can be set. Other pins, and
-    ``reason``, are as :class:`ReadBlock`'s; ``layout``, ``prefix``, ``directory`` and ``beat_ms`` too.
+    one message. ``msg`` is None before the type is known; after that, every field can be set. The other pins,
+    ``reason``, ``layout``, ``prefix``, ``directory`` and ``beat_ms`` are as for :class:`ReadBlock`.
     """
 
     _direction = shm.Direction.TO_ROS
@@ -566,7 +566,7 @@ class WriteBlock(Block):
     _unfilled = False  # msg was made in this call: what the program filled was another
 
     def close(self) -> None:
-        """Release the claim and let go of the object; the next call opens it again."""
+        """Release the claim and close the object; the next call opens it again."""
         if self._writer is not None:
             self._writer.release()
         self._detach()

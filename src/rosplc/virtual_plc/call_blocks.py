@@ -1,6 +1,6 @@
-"""The blocks of services and actions, as a program in a PLC calls a server in ROS, or is one.
+"""The blocks for services and actions, with which a PLC program calls a ROS server or is a server.
 
-The behaviour is that of the generated Structured Text (docs/reference/plc-calls.md); one suite runs both.
+They behave like the generated Structured Text (docs/reference/plc-calls.md); one test suite runs both.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def _reason(info: SlotInfo) -> Reason:
 
 
 class _In(ReadBlock):
-    """Takes the messages of one object, the newest alone, once reader line 0 is this block's."""
+    """Takes only the newest message of one object, after this block has claimed reader line 0."""
 
     def __init__(self, part: Part, client: str, name: str, **more: Any) -> None:
         super().__init__(name, stale_after=None, **more)
@@ -44,7 +44,7 @@ class _In(ReadBlock):
         self.fresh = True  # nothing was taken yet since the object was opened
 
     def look(self, scan: Scan) -> None:
-        """Open the object, claim the line, and watch the bridge."""
+        """Open the object, claim the line, and monitor the bridge."""
         self._run(scan)
         # In place of a silent bridge's object another may just have been opened, for the next scan.
         self.xReady = self.xAttached and self._claim is None and self._opened == self._opened_times
@@ -61,7 +61,7 @@ class _In(ReadBlock):
         return False  # take() does
 
     def take(self) -> SlotInfo | None:
-        """Take what is new; ``msg`` is a copy of it."""
+        """Take a new message; ``msg`` is a copy of it."""
         layout, reader = self.layout, self._reader
         if not self.xReady or reader is None or layout is None:
             return None
@@ -87,12 +87,12 @@ class _In(ReadBlock):
 
     @property
     def object(self) -> int:
-        """Which object is open; 0 none."""
+        """Identifies the open object; 0: none."""
         return 0 if self._attached is None else self._opened
 
 
 class _Out(WriteBlock):
-    """Writes the messages of one object; ``_leaving`` has a last look at one."""
+    """Writes the messages of one object; ``_leaving`` is called before an object is closed."""
 
     def __init__(self, part: Part, client: str, leaving: Callable[[], object], *name: Any, **more: Any):
         super().__init__(*name, **more)
@@ -107,9 +107,9 @@ class _Out(WriteBlock):
         return attached, writer
 
     def publish(self, message: Any, **words: Any) -> None:
-        """Send a message, None for an initial one; ``words`` describe the call in its slot.
+        """Send a message (None: an initial one); ``words`` describe the call in its slot.
 
-        Raises ChannelError: Not sent.
+        Raises ChannelError if it was not sent.
         """
         found, layout = self.open, self.layout
         if found is None or layout is None:
@@ -124,14 +124,14 @@ class _Out(WriteBlock):
 
 
 class _CallBlock(_Instance):
-    """What all blocks of services and actions share. Call the instance in every scan; it waits for nothing.
+    """The common part of all service and action blocks. Call the instance in every scan; it never waits.
 
-    Pins are those of the PLC's block (docs/reference/plc-calls.md), times in seconds; ``reason`` is
-    ``udiError`` in words. ``name`` is the service or action as ROS writes it, ``client`` a client's name of
-    the use in the configuration, empty if it has none; ``prefix``, ``directory`` and ``beat_ms`` are as
-    :class:`ReadBlock`'s. ``layouts`` are the compiled-in ones by part, ``request=``, ``goal=`` and so on, as
-    a PLC has them: for a part that is left out the object describes itself; until it is open, such an input
-    is None.
+    The pins are those of the PLC's block (docs/reference/plc-calls.md), with times in seconds; ``reason`` is
+    ``udiError`` as text. ``name`` is the ROS name of the service or action; ``client`` is the client's name
+    in the configuration, empty if it has none; ``prefix``, ``directory`` and ``beat_ms`` are as for
+    :class:`ReadBlock`. ``layouts`` are the compiled-in layouts by part, ``request=``, ``goal=`` and so on, as
+    in a PLC. For an omitted part, the object's own description is used; until the object is open, such an
+    input is None.
     """
 
     _parts: ClassVar[tuple[Part, ...]] = SERVICE
@@ -165,10 +165,10 @@ class _CallBlock(_Instance):
         self._blocks: list[Block] = [*self._ins, *self._outs]
 
     def _leaving(self) -> None:
-        """The object that the first of ``_outs`` writes is about to be left."""
+        """Prepare for the closing of the object that the first of ``_outs`` writes."""
 
     def _report(self, number: int = 0, words: str = "") -> None:
-        """Tell what is wrong: with the call if ``number`` is given, else with an object."""
+        """Report a problem: of the call if ``number`` is given, otherwise of an object."""
         self.xAttached = self._in.xReady and self._out.xReady
         self.xPeerAlive = self._in.xPeerAlive and self._out.xPeerAlive
         asks: Block = self._out if self._calls else self._in
@@ -177,20 +177,20 @@ class _CallBlock(_Instance):
         self.udiError, self.reason = (int(number), words) if number else found
 
     def close(self) -> None:
-        """Give the claims back and let go of the objects; the next call opens them again."""
+        """Release the claims and close the objects; the next call opens them again."""
         for block in self._blocks:
             block.close()
 
 
 def _input(index: int) -> Any:
-    """Return the pin for what one of a block's objects is to be given; None before its type is known."""
+    """Return the input pin for the message of one of a block's objects; None before its type is known."""
     return property(
         lambda self: self._outs[index].msg, lambda self, value: setattr(self._outs[index], "msg", value)
     )
 
 
 class _Answerer(_CallBlock):
-    """What both servers share; ``udiCallers`` is None if unknown, ``age`` is ``tAge`` in seconds."""
+    """The common part of both servers; ``udiCallers`` is None if unknown, ``age`` is ``tAge`` in seconds."""
 
     _calls = False
     _steps: ClassVar[tuple[str, ...]]
@@ -226,7 +226,7 @@ class _Answerer(_CallBlock):
         return self._shown is not None
 
     def _offer(self, scan: Scan) -> None:
-        """Look at the newest message, and show the call if it may begin."""
+        """Check the newest message, and present the call if it may begin."""
         if self._in.xReady and self._in.object != self._object:
             # The bridge has ended what the object before held.
             self._object, self._found, self._answer = self._in.object, False, None
@@ -265,15 +265,15 @@ class _Answerer(_CallBlock):
         self.udiCalls += 1
 
     def _updated(self, status: int) -> None:
-        """A further message of the call in hand: each repeats all that is asked."""
+        """Process a further message of the current call; each message repeats all requests."""
         self.xCallerGone = self.xCallerGone or bool(status & spec.ASK_WITHDRAWN)
 
     @abstractmethod
     def _step(self, rose: set[str]) -> None:
-        """Do what the program asks for by the inputs that have risen."""
+        """Execute the steps for the inputs with a rising edge."""
 
     def _end(self, status: int, reason: Reason = Reason.NONE, answer: Any = None) -> None:
-        """End the call in hand; with ``answer`` as its record, if that fits."""
+        """End the current call, with ``answer`` as the record if it fits."""
         if not self._orphan:
             self._put(self._shown, status, reason, answer)
         self._shown, self.xCallerGone = None, False
@@ -290,10 +290,10 @@ class _Answerer(_CallBlock):
 
 
 class ServiceServer(_Answerer):
-    """Carries out a service that ROS calls; the stand-in for a generated ``<pkg>_<Srv>_Server``.
+    """A server for a service that ROS calls; simulates a generated ``<pkg>_<Srv>_Server``.
 
-    While ``xRequest`` is set, ``request`` is to be carried out; a rising edge of ``xReply`` sends
-    ``response``, one of ``xReject`` refuses.
+    While ``xRequest`` is set, execute ``request``; a rising edge of ``xReply`` sends ``response``, a rising
+    edge of ``xReject`` refuses the call.
     """
 
     _steps = ("xReply", "xReject")
@@ -313,11 +313,11 @@ class ServiceServer(_Answerer):
 
 
 class ActionServer(_Answerer):
-    """Carries out goals that ROS sends, one at a time; the stand-in for ``<pkg>_<Act>_ActionServer``.
+    """A server for goals from ROS, one at a time; simulates a generated ``<pkg>_<Act>_ActionServer``.
 
-    While ``xGoal`` is set, ``goal`` is to be accepted or rejected. An accepted one is ended by a rising edge
-    of ``xSucceed``, ``xAbort`` or ``xCanceled``, with ``result``. A step that the goal in hand does not allow
-    changes nothing, and is reported (ILLEGAL_STEP).
+    While ``xGoal`` is set, accept or reject ``goal``. A rising edge of ``xSucceed``, ``xAbort`` or
+    ``xCanceled`` ends an accepted goal with ``result``. A step that the current goal does not allow has no
+    effect and is reported (ILLEGAL_STEP).
     """
 
     _parts = ACTION
@@ -392,7 +392,7 @@ class ActionServer(_Answerer):
 
 
 class _Caller(_CallBlock):
-    """What both clients share: at most one of ``xBusy``, ``xDone``, ``xAborted`` and ``xError`` is set."""
+    """Common part of both clients: at most one of ``xBusy``, ``xDone``, ``xAborted``, ``xError`` is set."""
 
     _calls = True
     _stop: ClassVar[str]  # the input that asks for the end of the call
@@ -465,10 +465,10 @@ class _Caller(_CallBlock):
 
     @abstractmethod
     def _answered(self, info: SlotInfo, status: int) -> None:
-        """An answer to the call in hand."""
+        """Process an answer to the current call."""
 
     def _failed(self, info: SlotInfo, status: int) -> None:
-        """End the call by an answer without a record; one for another kind of call tells nothing."""
+        """End the call with an answer without a record; ignore answers to other kinds of calls."""
         if self._caller is not None and self._caller.correlation:
             return  # no answer that ends a call
         outcome = _OUTCOMES.get(status, ErrorNumber.FATE_UNKNOWN)
@@ -476,7 +476,7 @@ class _Caller(_CallBlock):
         self._conclude(outcome, _reason(info), stopped=stopped)
 
     def _follow(self) -> None:
-        """Keep to the object that is open; a call that was sent in another one has ended."""
+        """Follow the open object; a call that was sent in another object has ended."""
         found = self._out.open
         if found is None or (self._object is not None and found[1] is self._object[1]):
             return
@@ -485,13 +485,13 @@ class _Caller(_CallBlock):
         self._object, self._caller = found, Caller(*found, follows_claim=False)
 
     def _leaving(self) -> None:
-        """The last look at an object that is retired, and with it the call."""
+        """Check a retired object, and the call in it, for the last time."""
         fate = self._caller.retired() if self._caller is not None else 0
         if fate and self._sent:
             self._conclude(_OUTCOMES[fate], Reason.BRIDGE_RESTARTED, stopped=self._stopped)
 
     def _open(self, over: bool, ready: bool) -> None:
-        """Send the call in hand, or end it."""
+        """Send the current call, or end it."""
         caller = self._caller
         if getattr(self, self._stop):
             self._conclude(ErrorNumber.NOT_EXECUTED, stopped=True)
@@ -505,7 +505,7 @@ class _Caller(_CallBlock):
 
     @abstractmethod
     def _pursue(self, caller: Caller, over: bool) -> None:
-        """Go on with a call that was sent."""
+        """Continue a call that was sent."""
 
     def _send(self, **words: Any) -> None:
         self._out.publish(self._asked, **words)
@@ -518,7 +518,7 @@ class _Caller(_CallBlock):
         self._outcome, self.eReason = outcome, reason
 
     def close(self) -> None:
-        """As of every block; nobody can tell what becomes of a call in hand."""
+        """Close the block; the outcome of a current call is unknown."""
         if self._caller is not None:
             self._caller.correlation = 0
         if self._sent:
@@ -527,7 +527,7 @@ class _Caller(_CallBlock):
 
 
 class ServiceClient(_Caller):
-    """Calls a service of ROS; the stand-in for a generated ``<pkg>_<Srv>_Client``."""
+    """Calls a ROS service; simulates a generated ``<pkg>_<Srv>_Client``."""
 
     _stop = "xAbort"
     xAbort = False
@@ -553,7 +553,7 @@ class ServiceClient(_Caller):
 
 
 class ActionClient(_Caller):
-    """Sends goals to an action of ROS; the stand-in for a generated ``<pkg>_<Act>_ActionClient``."""
+    """Sends goals to a ROS action; simulates a generated ``<pkg>_<Act>_ActionClient``."""
 
     _parts = ACTION
     _stop = "xCancel"
@@ -623,7 +623,7 @@ class ActionClient(_Caller):
                 self.xCancelRejected = False
 
     def _send(self, **words: Any) -> None:
-        """Send the goal with its UUID, which follows from words of its slot."""
+        """Send the goal with its UUID, which is derived from words in its slot."""
         number = words["correlation"]
         assert self._object is not None
         uuid = self._object[0].region.generation, number >> 32, number & 0xFFFFFFFF, spec.GOAL_ID_END

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 @dataclass(slots=True)
 class Scan:
-    """One scan of one task; outside a task (a notebook, a test) every call counts as a scan of its own.
+    """A scan of a task; outside a task (a notebook, a test), every call counts as a separate scan.
 
     A PLC makes at most one attempt to open an object per scan over all blocks (spec/shm-format.md, 8.6).
     """
@@ -24,7 +24,7 @@ class Scan:
     may_open: bool = True  # whether this scan still has its one attempt to open an object
 
     def claim_open(self) -> bool:
-        """Take the scan's one attempt to open an object; False if it is gone."""
+        """Use the scan's one attempt to open an object; False if it is already used."""
         had, self.may_open = self.may_open, False
         return had
 
@@ -33,7 +33,7 @@ _local = threading.local()
 
 
 def current_scan() -> Scan:
-    """Return the scan that the calling thread is in, or a fresh one outside a task."""
+    """Return the calling thread's scan, or a new one outside a task."""
     scan: Scan | None = getattr(_local, "scan", None)
     return Scan("", 0, time.monotonic_ns()) if scan is None else scan
 
@@ -45,7 +45,7 @@ def enter_scan(scan: Scan | None) -> None:
 
 @dataclass(slots=True)
 class CycleStats:
-    """Counters of one task; every time is in nanoseconds."""
+    """The counters of a task; all times are in nanoseconds."""
 
     scans: int = 0  # those that ran
     missed: int = 0  # left out: the one before took too long, or the machine was late by an interval
@@ -62,7 +62,7 @@ class CycleStats:
         return self.cycle_sum / self.scans if self.scans else 0.0
 
     def add(self, lateness: int, duration: int) -> None:
-        """Count one scan that began ``lateness`` ns after its time and took ``duration`` ns."""
+        """Count a scan that began ``lateness`` ns late and took ``duration`` ns."""
         self.scans += 1
         self.jitter_max = max(self.jitter_max, lateness)
         self.cycle_last = duration
@@ -80,35 +80,35 @@ class CycleStats:
 
 
 Program: TypeAlias = Callable[[], object]
-"""A program takes nothing: like a PROGRAM in a PLC it keeps its state in its own objects."""
+"""A program has no arguments: like a PROGRAM in a PLC, it keeps its state in its own objects."""
 
 _FIFO_OF_PRIORITY_0 = 67  # CODESYS on Linux runs IEC priorities 0 … 15 as SCHED_FIFO 67 … 52
 
 
 class TaskState(enum.Enum):
-    """Where a task stands."""
+    """The state of a task."""
 
     STOPPED = "stopped"
     RUNNING = "running"
     EXCEPTION = "exception"
-    """A program raised, or a scan exceeded the watchdog; the task runs no further scan."""
+    """A program raised an exception, or a scan exceeded the watchdog; the task runs no further scans."""
 
 
 class Task:
     """A cyclic task of a virtual PLC.
 
-    Scans begin at ``start + n × interval`` of the monotonic clock, so that a late scan does
-    not move the ones after it. A scan whose whole interval has passed is counted as missed
-    and left out, as PLC runtimes do; it is never made up for.
+    Scans begin at ``start + n × interval`` of the monotonic clock, so a late scan does not delay
+    later ones. A scan whose whole interval has passed is counted as missed and skipped, as in
+    PLC runtimes; it is not made up for.
 
     Args:
-        name: The task's name; readers show it in the channel's lines.
+        name: The task's name, which readers store in the channel's lines.
         interval: Seconds from one scan to the next, above 0.
-        priority: 0 (highest) … 31, as in IEC 61131-3. It takes effect where ``realtime`` is
-            set and the system permits SCHED_FIFO; otherwise all tasks share the processor
-            as ordinary threads do (:attr:`scheduling` says which it is).
-        watchdog: Seconds that a scan may take; None for no watchdog.
-        watchdog_sensitivity: How many scans in a row may exceed it before the task halts.
+        priority: 0 (highest) … 31, as in IEC 61131-3. It takes effect if ``realtime`` is set
+            and the system permits SCHED_FIFO; otherwise, all tasks share the processor as
+            ordinary threads (:attr:`scheduling` shows which applies).
+        watchdog: Maximum duration of a scan in seconds; None for no watchdog.
+        watchdog_sensitivity: The number of consecutive scans that exceed it after which the task halts.
         programs: Called in order, once per scan.
         realtime: Ask for SCHED_FIFO.
 
@@ -152,24 +152,24 @@ class Task:
         self._stop = threading.Event()
 
     def program(self, program: Program) -> Program:
-        """Add ``program``; usable as a decorator. Programs run in the order of adding."""
+        """Add ``program``; usable as a decorator. Programs run in the order in which they were added."""
         self._programs.append(program)
         return program
 
     @property
     def overdue(self) -> bool:
-        """Whether the scan that runs now already exceeds the watchdog.
+        """Whether the current scan already exceeds the watchdog.
 
         A thread cannot be halted from outside, so a program that never returns is
-        reported here rather than stopped.
+        only reported here, not stopped.
         """
         began, allowed = self._scan_began_ns, self.watchdog_ns
         return began is not None and allowed is not None and time.monotonic_ns() - began > allowed
 
     def scan(self, due_ns: int | None = None) -> None:
-        """Run one scan now, in this thread; it was due at ``due_ns`` of the monotonic clock (None: now).
+        """Run one scan now in this thread; it was due at ``due_ns`` of the monotonic clock (None: now).
 
-        Raises whatever a program raises; the task is then in state EXCEPTION.
+        Raises what a program raises; the task is then in state EXCEPTION.
         """
         began = time.monotonic_ns()
         self._scan_began_ns = began
@@ -201,9 +201,9 @@ class Task:
             self.state = TaskState.EXCEPTION
 
     def start(self) -> None:
-        """Start the task's thread; nothing happens if it runs already.
+        """Start the task's thread; does nothing if it is already running.
 
-        Raises RuntimeError: The task halted with an exception; make a new one.
+        Raises RuntimeError if the task halted with an exception; create a new task.
         """
         if self.state is TaskState.EXCEPTION:
             raise RuntimeError(f"task {self.name} halted: {self.error}")
@@ -215,7 +215,7 @@ class Task:
         self._thread.start()
 
     def stop(self, timeout: float | None = 5.0) -> bool:
-        """End the task after the scan in progress, waited for so many seconds (None: for ever).
+        """End the task after the scan in progress, and wait at most ``timeout`` seconds (None: forever).
 
         Return whether it has ended.
         """
@@ -256,7 +256,7 @@ class Task:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo))
         except PermissionError:
-            return "SCHED_OTHER (this user may not use SCHED_FIFO)"
+            return "SCHED_OTHER (this user is not allowed to use SCHED_FIFO)"
         return f"SCHED_FIFO {fifo}"
 
 
@@ -279,7 +279,7 @@ class VirtualPlc:
         self._stopped = threading.Event()
 
     def task(self, name: str, interval: float, **options: Any) -> Task:
-        """Add a cyclic task and return it; ``options`` are the others of :class:`Task`."""
+        """Add a cyclic task and return it; ``options`` are the other arguments of :class:`Task`."""
         if any(task.name == name for task in self.tasks):
             raise ValueError(f"a task named {name} already exists")
         self.tasks.append(Task(name, interval, **options))
@@ -292,15 +292,15 @@ class VirtualPlc:
             task.start()
 
     def stop(self) -> None:
-        """Stop all tasks, each after the scan in progress; a program may call it, and ends :meth:`run`."""
+        """Stop all tasks, each after its scan in progress; also callable from a program; ends :meth:`run`."""
         self._stopped.set()
         for task in self.tasks:
             task.stop()
 
     def check(self) -> None:
-        """Raise what halted a task, if one has halted.
+        """Raise the exception that halted a task, if one has halted.
 
-        Raises BaseException: What a program raised; TimeoutError from the watchdog.
+        Raises BaseException: The program's exception; TimeoutError from the watchdog.
         """
         for task in self.tasks:
             if task.state is TaskState.EXCEPTION and task.error is not None:
@@ -311,7 +311,7 @@ class VirtualPlc:
     def run(self, duration: float | None = None) -> None:
         """Start, run for ``duration`` seconds (None: until Ctrl-C, or a task halts), or until :meth:`stop`.
 
-        Raises BaseException: What halted a task; with a duration KeyboardInterrupt, too.
+        Raises BaseException: The exception that halted a task; with a duration, also KeyboardInterrupt.
         """
         end = None if duration is None else time.monotonic() + duration
         self.start()

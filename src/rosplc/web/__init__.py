@@ -1,7 +1,7 @@
-"""The page of this machine's channels: live values, plots, events, and test messages where allowed.
+"""The web page of this machine's channels: live values, plots, events, and test messages if allowed.
 
-One process serves it, with the files of this package alone: no other address is contacted, nothing has to be
-built. It looks at channels as ``rosplc top`` does and disturbs none.
+One process serves it, using only the files of this package: no other address is contacted, and no build step
+is needed. It reads channels as ``rosplc top`` does, without side effects.
 """
 
 from rosplc.web.access import Settings, is_loopback, new_token, read_token

@@ -1,9 +1,9 @@
-"""Who may ask: the server's settings and token, and the Host and Origin headers, before any handler runs.
+"""Access control: the server's settings and token, and the Host and Origin headers, before any handler runs.
 
-A browser sends every page's requests to the address that a name leads to. A foreign page could therefore
-reach a server on loopback directly (cross-site), or under its own name that it makes lead here (DNS
-rebinding). Against the second the Host header must be an address or a known name; against the first the
-Origin header must be this very server.
+A browser sends every page's requests to the address that a name resolves to. A foreign page could therefore
+reach a server on loopback directly (cross-site), or through its own name that it resolves to this server
+(DNS rebinding). Against DNS rebinding, the Host header must be an address or a known name; against cross-site
+requests, the Origin header must be this server.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from rosplc.shm.files import describe_status
 class Settings:
     """The settings of one server.
 
-    ``prefix`` None shows all; ``names`` are host names under which the server may be asked, besides
-    ``localhost`` and addresses; ``token`` is required to write, or to look (``token_to_view``), and empty for
-    nothing; ``viewers`` is how many pages may be connected at once.
+    ``prefix`` None shows all; ``names`` are accepted host names of the server, besides ``localhost`` and
+    addresses; ``token`` is required to write, or to view (``token_to_view``); an empty token means that none
+    is needed; ``viewers`` is the maximum number of connected pages.
     """
 
     prefix: str | None = None
@@ -54,33 +54,33 @@ _CHARACTERS = re.compile(rf"[!-~]{{{_FEWEST},{_MOST}}}")
 
 
 def new_token() -> str:
-    """Return a token that cannot be guessed: 144 random bits, as text that fits into an address."""
+    """Return a token that cannot be guessed: 144 random bits, as text that is valid in a URL."""
     return secrets.token_urlsafe(18)
 
 
 def read_token(path: Path) -> str:
-    """Return the token that a file holds, blanks around it left out.
+    """Return the token in a file, without surrounding whitespace.
 
-    Raises WebError WEB002: the file cannot be read, is open to other users, or holds no token, which is 16 to
-    256 printable characters without a blank.
+    Raises WebError WEB002 if the file cannot be read, is accessible to other users, or contains no token: 16
+    to 256 printable characters without spaces.
     """
     try:
         with path.open("rb") as file:
             status = os.fstat(file.fileno())
             text = file.read(_MOST + 64).decode("ascii", "replace").strip()
     except OSError as error:
-        raise WebError("WEB002", f"cannot be read: {error.strerror}", where=str(path)) from error
+        raise WebError("WEB002", f"cannot read the file: {error.strerror}", where=str(path)) from error
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        what = f"users other than its owner have access to it: {describe_status(status)}"
-        raise WebError("WEB002", what, where=str(path), remedy=f"chmod 600 {path}.")
+        what = f"users other than the owner have access to the file: {describe_status(status)}"
+        raise WebError("WEB002", what, where=str(path), remedy=f"Run `chmod 600 {path}`.")
     if not _CHARACTERS.fullmatch(text):
-        what = f"does not contain a token of {_FEWEST} to {_MOST} printable characters without blanks"
+        what = f"the file has no token of {_FEWEST} to {_MOST} printable characters without spaces"
         raise WebError("WEB002", what, where=str(path))
     return text
 
 
 def same_token(expected: str, given: str) -> bool:
-    """Return whether two tokens are the same, in a time that does not tell how much of them is."""
+    """Return whether two tokens are equal, in a time that does not depend on the matching part."""
     return bool(expected) and hmac.compare_digest(expected.encode(), given.encode("utf-8", "replace"))
 
 
@@ -96,11 +96,11 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=()",
 }
-"""Headers of every answer."""
+"""Headers of every response."""
 
 
 def is_loopback(address: str) -> bool:
-    """Return whether an address reaches programs of this machine alone."""
+    """Return whether an address is reachable only from this machine."""
     if address == "localhost":
         return True
     try:
@@ -125,7 +125,7 @@ def wrong_host(host: str, names: Collection[str]) -> bool:
 
 
 def wrong_origin(origin: str, host: str) -> bool:
-    """Return whether an Origin header names another server than the Host header does."""
+    """Return whether the Origin header refers to another server than the Host header."""
     try:
         parts = urlsplit(origin)
     except ValueError:
@@ -135,13 +135,13 @@ def wrong_origin(origin: str, host: str) -> bool:
 
 
 def require_token(settings: Settings, given: str) -> None:
-    """Raise WebError WEB005 unless the token is right."""
+    """Raise WebError WEB005 unless the token is correct."""
     if not same_token(settings.token, given):
         raise WebError("WEB005", "a token is needed" if not given else "the token is wrong")
 
 
 def bearer(request: web.Request) -> str:
-    """Return the token that a request carries; empty if it carries none."""
+    """Return the token in a request, or an empty text."""
     kind, _, token = request.headers.get("Authorization", "").partition(" ")
     return token.strip() if kind.lower() == "bearer" else ""
 
@@ -164,7 +164,7 @@ def access(settings: Settings) -> Middleware:
 
 
 async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
-    """Put the headers on every answer, an upgrade to a WebSocket and an error of the parser included."""
+    """Add the headers to every response, including WebSocket upgrades and errors of the parser."""
     response.headers.update(SECURITY_HEADERS)
     # A file is asked for each time, and sent again only after an update: no browser shows an old page.
     response.headers["Cache-Control"] = "no-store" if request.path.startswith("/api/") else "no-cache"
@@ -179,7 +179,7 @@ def _check(settings: Settings, request: web.Request) -> None:
     foreign = origin is not None and wrong_origin(origin, host)
     fetched_by = request.headers.get("Sec-Fetch-Site", "none")
     if foreign or (request.path.startswith("/api/") and fetched_by not in ("same-origin", "none")):
-        raise WebError("WEB004", f"request from the page of another site: {(origin or 'unknown')[:80]!r}")
+        raise WebError("WEB004", f"the request is from another site's page: {(origin or 'unknown')[:80]!r}")
     # The page itself says nothing; what it shows comes from /api/. A WebSocket brings its token as its
     # first message, since a page cannot give it a header.
     if settings.token_to_view and request.path.startswith("/api/") and request.path != "/api/live":

@@ -1,8 +1,8 @@
-"""What pages want and are shown: one thread looks at the channels, and pages take what is new to them.
+"""Live data for pages: one thread looks at the channels, and each page gets the data that is new to it.
 
-Nothing queues. The newest picture and the newest message of each channel are kept here, events and plotted
-samples in lists that forget their oldest. A slow page misses something and costs nothing. A page's WebSocket
-brings its wants, and frames go out as fast as it takes them.
+There are no queues. The newest picture and the newest message of each channel are kept here, and the latest
+events and plotted samples in bounded lists. A slow page misses data but costs nothing. A page sends its
+requests over its WebSocket and receives frames as fast as it accepts them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _STEP = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_]*)|\[([0-9]{1,8})\]")
 
 @lru_cache(maxsize=1024)
 def parse_path(text: str) -> tuple[str | int, ...]:
-    """Return the steps of a path, names of fields and indices of elements; raises ValueError for others."""
+    """Return the steps of a path, as field names and element indices; raises ValueError if it is invalid."""
     steps: list[str | int] = []
     at = 0
     while at < len(text) <= MAX_PATH:
@@ -52,9 +52,9 @@ def parse_path(text: str) -> tuple[str | int, ...]:
 
 
 def number_at(message: Any, path: str) -> float | int | None:
-    """Return the number at a path of a message; None if there is none.
+    """Return the number at a path in a message; None if there is none.
 
-    A bool counts as 0 or 1. NaN and infinities are None: they have no place in a plot.
+    A bool counts as 0 or 1. NaN and infinities become None, because they cannot be plotted.
     """
     value = message
     try:
@@ -75,16 +75,16 @@ _MAX_ID = 300
 
 @dataclass(frozen=True)
 class Wants:
-    """What one page wants: ids of channels whose message it shows, and per id the paths that it plots."""
+    """A page's requests: the ids of channels whose messages it shows, and per id the paths that it plots."""
 
     messages: frozenset[str] = frozenset()
     plots: dict[str, frozenset[str]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, data: Any) -> Wants:
-        """Return the wants in a page's JSON.
+        """Return the requests in a page's JSON.
 
-        Raises WebError WEB009 if it has another form, or wants more than one page may.
+        Raises WebError WEB009 if it has another form, or exceeds the limits for one page.
         """
         found = data if isinstance(data, dict) else {"messages": None}
         messages, plots = found.get("messages", []), found.get("plots", {})
@@ -117,10 +117,10 @@ _STAMP_MS = 500
 
 @dataclass
 class Look:
-    """What one turn of looking has found.
+    """The result of one look.
 
-    ``picture``: all channels, if it was time for them; by id ``messages``, what is shown of each wanted one
-    that is new, and ``samples``, the time in ms since 1970 and the plotted fields' values by path.
+    ``picture`` has all channels, if they were due; by channel id, ``messages`` has the new messages to show,
+    and ``samples`` the time in ms since 1970 and the plotted fields' values by path.
     """
 
     picture: Picture | None = None
@@ -129,7 +129,7 @@ class Look:
 
 
 class Looker:
-    """Takes looks; for one thread."""
+    """Looks at channels; for one thread."""
 
     def __init__(self, watch: Watch) -> None:
         self._watch, self._clock = watch, watch.clock
@@ -137,7 +137,7 @@ class Looker:
         self._seen: dict[str, tuple[object, ...]] = {}
 
     def look(self, wanted: Iterable[Wants]) -> Look:
-        """Look at what pages want, if it is time to; raises RosplcError if channels cannot be listed."""
+        """Look at the requested data that is due; raises RosplcError if channels cannot be listed."""
         wanted = list(wanted)
         messages: Set[str] = frozenset().union(*(each.messages for each in wanted))
         plots: dict[str, set[str]] = {}
@@ -200,7 +200,7 @@ class Looker:
 
 
 def _time_of(message: Message, now_ms: float) -> float:
-    """Return when a message came: its stamp, if that is of about now, which is more exact than a look."""
+    """Return when a message arrived: its stamp, if close to now, since it is more precise than a look."""
     stamp_ms = message.stamp_ns / 1e6
     return stamp_ms if message.clock and 0 <= now_ms - stamp_ms < _STAMP_MS else now_ms
 
@@ -213,13 +213,13 @@ _SAMPLES = 600
 
 
 class Feed:
-    """The looks of one server, for as long as :meth:`run` runs; for one event loop.
+    """The looks of one server while :meth:`run` is running; for one event loop.
 
-    ``wanted`` returns what each connected page wants; from now on only the thread that looks uses the watch.
-    ``document`` is the last picture as ``rosplc status --json`` prints it, None before the first,
-    ``channels`` the same by id. ``events`` and the newest ``messages`` of wanted channels have numbers that
-    grow; ``samples`` are per plotted channel number, ms since 1970 and values by path. ``failure`` is why the
-    last look failed, or empty.
+    ``wanted`` returns the requests of each connected page; from now on, only the looking thread uses the
+    watch. ``document`` is the last picture as printed by ``rosplc status --json``, None before the first;
+    ``channels`` is the same by id. ``events`` and the newest ``messages`` of requested channels have
+    increasing numbers; ``samples`` has, per plotted channel, a number, ms since 1970 and values by path.
+    ``failure`` is the reason why the last look failed, or empty.
     """
 
     def __init__(self, watch: Watch, wanted: Callable[[], Iterable[Wants]]) -> None:
@@ -262,21 +262,21 @@ class Feed:
             self._thread.shutdown(cancel_futures=True)
 
     def hurry(self) -> None:
-        """Take the next turn now: a page came, or wants something else."""
+        """Look again now: a page has connected, or its requests have changed."""
         self._hurry.set()
 
     def note(self, event: Event) -> None:
-        """Add an event of this server's own."""
+        """Add an event of this server."""
         self.events.append((next(self._numbers), event.as_json()))
         self.tell()
 
     def tell(self) -> None:
-        """Wake all that wait for news."""
+        """Wake all tasks that wait for changes."""
         self._news.set()
         self._news = asyncio.Event()
 
     async def news(self) -> None:
-        """Wait until something has changed; a picture comes at least every second or so."""
+        """Wait for a change; there is a new picture at least about every second."""
         await self._news.wait()
 
     def _fail(self, what: str) -> None:
@@ -310,7 +310,7 @@ class Feed:
 class Frames:
     """Makes the frames for one page.
 
-    A frame has only what is new: ``channels`` (whole ones that are new to the page, else the members that
+    A frame contains only changes: ``channels`` (complete if new to the page, otherwise the members that
     differ), ``gone``, ``bridges``, ``notes``, ``events``, ``messages`` and ``samples``.
     """
 
@@ -399,7 +399,7 @@ _LARGEST_BYTES = 64 * 1024
 
 
 class Viewers:
-    """The connected pages; ``machine`` is what they call this machine."""
+    """The connected pages; ``machine`` is the displayed name of this machine."""
 
     def __init__(self, settings: Settings, machine: str) -> None:
         self.feed: Feed
@@ -409,17 +409,17 @@ class Viewers:
         self._connected = 0
 
     def wanted(self) -> list[Wants]:
-        """Return what each page wants that has sent it."""
+        """Return the requests of each page that has sent some."""
         return list(self._wants.values())
 
     async def close(self, _application: web.Application) -> None:
-        """Close the connections of all pages, since the server ends."""
+        """Close the connections of all pages at the end of the server."""
         for socket in list(self._wants):
             with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
                 await asyncio.wait_for(socket.close(code=1001, message=b"the server ends"), 1.0)
 
     async def handle(self, request: web.Request) -> web.StreamResponse:
-        """Serve one page until it leaves; raises WebError WEB004 if no page of this server asks."""
+        """Serve one page until it disconnects; raises WebError WEB004 if it is not a page of this server."""
         if "Origin" not in request.headers:
             raise WebError("WEB004", "only a page of this server may open a WebSocket")
         socket = web.WebSocketResponse(
@@ -429,7 +429,7 @@ class Viewers:
         try:
             await socket.prepare(request)
             if self._connected > self._settings.viewers:
-                raise WebError("WEB007", f"{self._settings.viewers} pages are connected")
+                raise WebError("WEB007", f"{self._settings.viewers} pages are already connected")
             await self._serve(socket, request)
         except RosplcError as error:
             with contextlib.suppress(ConnectionError, asyncio.TimeoutError):
@@ -490,7 +490,7 @@ class Viewers:
 
 
 async def _receive(socket: web.WebSocketResponse, seconds: float | None) -> dict[str, Any] | None:
-    """Return the page's next message; None if it has left. Raises WebError WEB009 if it is no JSON object."""
+    """Return the page's next message; None if it disconnected. Raises WebError WEB009 if it is invalid."""
     while True:
         message = await socket.receive(seconds)
         if message.type is WSMsgType.TEXT:

@@ -1,4 +1,4 @@
-"""The server in the foreground: the page's files, its data, and the one thing it writes."""
+"""The HTTP server: the page's files, its data, and the writing of test messages."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ _LARGEST_BYTES = 4 * 1024 * 1024
 BODY_SECONDS = 10.0  # how long a request's body may take
 
 ARRIVED: web.AppKey[list[Callable[[asyncio.BaseTransport | None], None]]] = web.AppKey("arrived", list)
-"""Called with a connection's transport when a request's head has come."""
+"""Called with a connection's transport when a request's header has arrived."""
 
 
 @web.middleware
 async def arrival(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """Tell those who wait for it that a connection has sent a request."""
+    """Note that a connection has sent a request."""
     for tell in request.app[ARRIVED]:
         tell(request.transport)
     return await handler(request)
 
 
 def make_application(settings: Settings, watch: Watch, machine: str) -> web.Application:
-    """Return the application; it looks from its start to its clean-up. Pages show the name ``machine``."""
+    """Return the application; it looks at channels until its clean-up. Pages show the name ``machine``."""
     viewers = Viewers(settings, machine)
     api = _Api(settings)
 
@@ -82,7 +82,7 @@ def make_application(settings: Settings, watch: Watch, machine: str) -> web.Appl
 
 
 class _Api:
-    """Questions and answers beside the WebSocket."""
+    """Requests and responses besides the WebSocket."""
 
     def __init__(self, settings: Settings) -> None:
         self.feed: Feed
@@ -90,17 +90,17 @@ class _Api:
         self._writing = ThreadPoolExecutor(1, thread_name_prefix="rosplc-web-write")
 
     async def status(self, _request: web.Request) -> web.Response:
-        """Answer with what ``rosplc status --json`` prints, as of the last look."""
+        """Respond with the output of ``rosplc status --json``, as of the last look."""
         if self.feed.document is None and not self.feed.failure:
             await self.feed.news()
         return web.json_response(self.feed.document or {})
 
     async def form(self, request: web.Request) -> web.Response:
-        """Answer with a channel's type, as :func:`rosplc.web.write.form_of` gives it."""
+        """Respond with a channel's type, as returned by :func:`rosplc.web.write.form_of`."""
         return web.json_response(await self._in_thread(self._form, request.query.get("channel", "")))
 
     async def token(self, request: web.Request) -> web.Response:
-        """Answer whether the request's token is the right one."""
+        """Respond whether the request's token is correct."""
         await self._require_token(request)
         return web.json_response({"token": "right"})
 
@@ -122,9 +122,9 @@ class _Api:
             write = partial(write_message, not_finite=wish.get("not_finite") is True, clock=self.feed.clock)
             sequence = await self._in_thread(write, namespace, view["topic"], layout, message)
         except RosplcError as error:
-            self._note("write-refused", Level.WARN, view, f"{who} may not write: {error.what} [{error.code}]")
+            self._note("write-refused", Level.WARN, view, f"{who} cannot write: {error.what} [{error.code}]")
             raise
-        self._note("written", Level.OK, view, f"{who} wrote a test message, number {sequence}")
+        self._note("written", Level.OK, view, f"{who} wrote test message number {sequence}")
         return web.json_response({"sequence": sequence})
 
     def _form(self, channel: str) -> dict[str, Any]:
@@ -188,15 +188,15 @@ async def _json(request: web.Request) -> dict[str, Any]:
 
 _SHUTDOWN_SECONDS = 2.0
 _REQUEST_SECONDS = 10.0
-"""How long a request's head may take, and how long a connection may wait for its next one."""
+"""Time limit for a request's header, and for a connection's next request."""
 MAX_CONNECTIONS = 128  # connections at once: far fewer than a process may have files open
 
 
 class _Door(asyncio.Protocol):
-    """Lets connections in, and closes those that have asked for nothing after so many seconds.
+    """Accepts connections, and closes those that have sent no request after some seconds.
 
-    Without it, connections without a request would use up this process's files, and the page would be shut
-    for everybody. ``idle`` has the connections that have asked for nothing so far, the oldest first.
+    Otherwise, connections without a request would use up this process's files, and the page would be
+    inaccessible. ``idle`` has the connections without a request so far, oldest first.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class _Door(asyncio.Protocol):
         self._runner, self._idle, self._seconds = runner, idle, seconds
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Hand the connection on, in the place of an idle one where all places are taken."""
+        """Accept the connection; if the limit is reached, it replaces an idle one."""
         assert isinstance(transport, asyncio.Transport) and self._runner.server is not None
         for known in [one for one in self._idle if one.is_closing()]:
             self._idle.pop(known).cancel()
@@ -229,10 +229,10 @@ class _Door(asyncio.Protocol):
 async def open_door(
     runner: web.AppRunner, listener: socket.socket, seconds: float = _REQUEST_SECONDS
 ) -> asyncio.Server:
-    """Serve what connects to a listener, within :data:`MAX_CONNECTIONS`.
+    """Serve connections to a listener, up to :data:`MAX_CONNECTIONS`.
 
-    The runner's application gets the request's mark as ``ARRIVED``; a request's head may take so many
-    seconds.
+    The runner's application gets the function for arrived requests as ``ARRIVED``; ``seconds`` limits a
+    request's header.
     """
     idle: dict[asyncio.BaseTransport, asyncio.TimerHandle] = {}
 
@@ -256,8 +256,8 @@ def serve(
 ) -> None:
     """Serve the page until SIGINT or SIGTERM; the watch is closed at the end.
 
-    A ``port`` of 0 takes a free one; ``ready`` gets address and port once the page can be opened. Raises
-    WebError WEB001 if it cannot listen on this address.
+    A ``port`` of 0 selects a free one; ``ready`` gets the address and port when the page can be opened.
+    Raises WebError WEB001 if it cannot listen on this address.
     """
     listener = _listen(bind, port)
     with contextlib.closing(listener), watch:

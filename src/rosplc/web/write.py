@@ -1,10 +1,10 @@
-"""A message type as the page needs it, and writing one test message into a channel that no one else writes.
+"""Message types for the page's form, and writing a test message to a channel that has no other writer.
 
-Numbers that JavaScript's own numbers cannot hold exactly travel as text, in both directions.
+Numbers that JavaScript cannot represent exactly are sent as text, in both directions.
 
-A claim other than 0 is never taken, however long its holder has been silent: Structured Text stores no
-process number, and a PLC in another container or at a breakpoint would lose its claim. A person frees the
-claim of a dead PLC with ``rosplc release``. Towards the PLC the page must also get the lock of the object's
+A claim other than 0 is never replaced, no matter how long its holder has been silent: Structured Text stores
+no process number, and a PLC in another container or at a breakpoint would lose its claim. A person frees the
+claim of a dead PLC with ``rosplc release``. Towards the PLC, the page also needs the lock of the object's
 name, which a running bridge holds.
 """
 
@@ -28,7 +28,7 @@ SAFE_INTEGER = (1 << 53) - 1  # the largest whole number that JavaScript's numbe
 
 _ELEMENTS = 256
 _LARGEST = {"float32": 3.4028235677973366e38, "float64": sys.float_info.max}
-"""Above these a number becomes infinite."""
+"""Numbers above these limits become infinite."""
 
 
 def form_of(layout: Layout) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def form_of(layout: Layout) -> dict[str, Any]:
 
     Every node has ``kind``: ``struct`` (with ``members``, each with its ``name``), ``list`` (with
     ``element``, ``capacity`` and ``fixed``), ``string`` (``capacity`` in bytes), ``bool``, ``integer``
-    (``low`` and ``high`` as text) or ``float``; and ``type``, as ROS writes it.
+    (``low`` and ``high`` as text) or ``float``; and ``type``, the ROS type name.
     """
     return _node(layout.root, layout.store)
 
@@ -77,7 +77,7 @@ def _node(node: Node, store: TypeStore) -> dict[str, Any]:
 
 
 def shown(value: Any, elements: int = _ELEMENTS) -> Any:
-    """Return a message's values as JSON can hold them and a page can show them.
+    """Return a message's values in a form for JSON and the page.
 
     NaN, infinities and whole numbers beyond :data:`SAFE_INTEGER` become text. A list longer than
     ``elements`` becomes ``{"first": [...], "count": n}``.
@@ -96,12 +96,12 @@ def shown(value: Any, elements: int = _ELEMENTS) -> Any:
 
 
 def from_form(form: dict[str, Any], value: Any, path: str = "", *, not_finite: bool = True) -> Any:
-    """Return what a page sent with text turned back into the numbers it stands for.
+    """Return a page's values, with text converted back to numbers.
 
-    The layout refuses what is no number or does not fit, and names the field. ``form`` is a node of
-    :func:`form_of`, ``path`` its path for the error; ``not_finite``: ``nan`` and ``inf`` are meant. Raises
-    LayoutError LAY006: a number is too large for its type, or not finite without being meant: no machine
-    should get such by a slip of the keyboard.
+    The layout refuses invalid or unfitting values, with the name of the field. ``form`` is a node of
+    :func:`form_of`, ``path`` its path for the error; ``not_finite``: ``nan`` and ``inf`` are intended. Raises
+    LayoutError LAY006 if a number is too large for its type, or is not finite although this is not intended:
+    a typing error must not send such numbers to a machine.
     """
     kind = form["kind"]
     if kind == "struct" and isinstance(value, dict):
@@ -146,11 +146,11 @@ def write_message(
 ) -> int:
     """Write one message into a channel of a prefix, and return its sequence number.
 
-    ``layout_id`` is the layout that the message was made for: nested dicts and lists, numbers perhaps as
-    text; what it lacks takes its initial value. ``not_finite``: NaN and infinities are meant; ``clock``
-    stamps it. Raises WebError WEB010, another writer has the channel, or it has another layout by now;
-    LayoutError LAY006, a value does not fit its field, or is not finite; ChannelError SHM101 and the others
-    of :func:`rosplc.attach`.
+    ``layout_id`` is the layout for which the message was made: nested dicts and lists, numbers possibly as
+    text; missing fields get their initial values. ``not_finite``: NaN and infinities are intended; ``clock``
+    stamps the message. Raises WebError WEB010 if another writer has the channel, or its layout has changed;
+    LayoutError LAY006 if a value does not fit its field or is not finite; ChannelError SHM101 and others as
+    :func:`rosplc.attach`.
     """
     with attach_object(namespace, topic) as attached:
         layout = layout_of(attached)
@@ -175,7 +175,7 @@ def _claimed(topic: str, who: str) -> WebError:
 
 
 def _publish(region: Region, same_layout: bool, topic: str, record: bytes, stamp_ns: int) -> int:
-    """Claim a free writer's line, publish, and give the claim back."""
+    """Claim a free writer's line, publish, and release the claim."""
     try:
         writer = Writer(region, 0, _BEAT_MS)
     except ChannelError as error:

@@ -63,26 +63,26 @@ def _flag(words: str) -> Any:
 class Abilities:
     """What differs between middlewares; ``docs/explanation/backends.md`` shows these as a table."""
 
-    source_stamps: bool = _flag("a message carries a sending time that the sender can set")
-    matches_qos: bool = _flag("reliability and durability must match; the reason is reported if they do not")
-    latched_depth: bool = _flag("a late subscriber gets the last `depth` messages (otherwise the last one)")
+    source_stamps: bool = _flag("a message carries a source timestamp that the sender can set")
+    matches_qos: bool = _flag("reliability and durability must be compatible; if not, the reason is reported")
+    latched_depth: bool = _flag("late subscribers get the last `depth` messages (if not, only the last one)")
     latched_by_publisher: bool = _flag(
         "the publisher alone decides whether late subscribers get old messages"
     )
-    tells_definitions: bool = _flag("a peer with a different definition of the type is refused and reported")
-    checks_outgoing: bool = _flag("bytes that do not fit the type are refused before they are sent")
-    checks_incoming: bool = _flag("bytes that do not fit the type are dropped on arrival, and counted")
-    counts_losses: bool = _flag("messages delivered and messages counted as lost add up to those sent")
+    tells_definitions: bool = _flag("peers that define the message type differently are refused and reported")
+    checks_outgoing: bool = _flag("a message whose bytes do not fit its type is refused before it is sent")
+    checks_incoming: bool = _flag("a received message whose bytes do not fit its type is dropped and counted")
+    counts_losses: bool = _flag("the counts of delivered and lost messages add up to the number sent")
     drops_on_full_links: bool = _flag(
-        "a message for a peer whose link is full is lost, even if `reliable`, and the sender is not notified"
+        "if the link to a peer is full, even `reliable` messages are lost, and the sender is not notified"
     )
-    shows_qos: bool = _flag("the settings of other nodes' endpoints can be seen")
-    shows_hashes: bool = _flag("the type hashes of other nodes' endpoints can be seen")
+    shows_qos: bool = _flag("the QoS settings of other nodes' endpoints are visible")
+    shows_hashes: bool = _flag("the type hashes of other nodes' endpoints are visible")
     many_nodes: bool = _flag("one process can contain several nodes")
     sees_callers: bool = _flag("a server detects that the caller of a service has exited")
-    refuses_with_words: bool = _flag("the caller of a service is informed of a refusal and its reason")
-    remembers_callers: bool = _flag("a call can be answered after the server's process restarts")
-    has_hub: bool = _flag("nodes find each other through a program that may restart (master, router)")
+    refuses_with_words: bool = _flag("if a service call is refused, the caller receives the reason")
+    remembers_callers: bool = _flag("after a restart, a server can answer calls that it received before")
+    has_hub: bool = _flag("nodes find each other through a master or router, which may restart")
 
     @classmethod
     def words(cls) -> dict[str, str]:

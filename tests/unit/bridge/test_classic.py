@@ -282,7 +282,7 @@ def test_diagnostics_say_what_is_known(tmp_path: Path) -> None:
         values = diagnostic_status(cell.bridge.status().topics[0], "cell")["values"]
         assert values["PLC alive"] == "unknown"
         assert values["classic memory"] == f"{cell.name}, {SIZE} bytes"
-        assert "1 corrected" in values["lock"]
+        assert "corrected: 1" in values["lock"]
         assert len(values) <= 20
 
 

@@ -272,7 +272,7 @@ def test_one_topics_trouble_is_no_others(cell: Cell, monkeypatch: pytest.MonkeyP
     status = bridge.status()
     assert (status.topic("/out0").lost, status.topic("/out1").lost, status.topic("/out2").lost) == (1, 1, 0)
     assert "a mistake in a backend" in status.topic("/out0").reason
-    assert "does not keep up" in status.topic("/out1").reason
+    assert "cannot keep up" in status.topic("/out1").reason
 
 
 def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:

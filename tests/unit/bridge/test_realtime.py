@@ -141,7 +141,7 @@ def test_a_processor_that_is_not_there(shm_namespace: Namespace, missing: int) -
     """A processor that this machine lacks is named with its key, and nothing has been opened."""
     here = min(os.sched_getaffinity(0))
     with (
-        pytest.raises(SetupError, match=f"SYS010.*may use: .*{here}") as caught,
+        pytest.raises(SetupError, match=f"SYS010.*Allowed processors: .*{here}") as caught,
         Bridge(config(shm_namespace, affinity=[here, missing])),
     ):
         pass

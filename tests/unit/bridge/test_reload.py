@@ -304,7 +304,7 @@ def test_a_removed_topic_is_not_made_again(cell: Cell) -> None:
 def test_only_a_running_bridge_reloads(cell: Cell) -> None:
     """Before the start, and for a configuration that was not read from a file, there is nothing to reload."""
     bridge = cell.make(BOTH)
-    with pytest.raises(RuntimeError, match="not started"):
+    with pytest.raises(RuntimeError, match="not been started"):
         bridge.reload()
     cell.bridge = bridge
     bridge.start()

@@ -686,7 +686,7 @@ def test_a_silent_plc_keeps_its_goal(make: Make, asked: bool) -> None:
     assert cell.ros.states == {A: GoalStatus.EXECUTING}
     assert cell.ros.decisions == [(A, ACCEPTED), (B, REJECTED)]
     assert (cell.ros.cancels, cell.status.aborted) == ([], 0)
-    assert cell.status.judgement[1] == "the PLC is silent; the goal remains executing"
+    assert cell.status.judgement[1] == "the PLC is silent; the goal is still executing"
     del plc.__dict__["beat"]
     cell.turn(0.05, 4)
     plc.say(info, ANSWER_SUCCEEDED)

@@ -333,7 +333,7 @@ def test_what_cannot_be_used_is_logged(cell: Cell, caplog: pytest.LogCaptureFixt
         tf(("tool", "base", tool.now, (0.0,) * 7), ("tool", "base", tool.now, moved(1)))  # type: ignore[arg-type]
     )
     tool.next(error=0)
-    assert "/tf: 'tool' in 'base' is ignored: (0.0" in caplog.text
+    assert "/tf: ignored 'tool' in 'base': (0.0" in caplog.text
     assert "/tf: message ignored: " in caplog.text and "string has 256 bytes; the limit is 255" in caplog.text
 
 
@@ -384,7 +384,7 @@ def test_a_bridge_of_ros_1(shm_namespace: Namespace) -> None:
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("{target: a, source: /b}", "no leading /"),
+        ("{target: a, source: /b}", "without leading /"),
         ("{target: a}", "'source' is missing"),
         ("{target: a b, source: c}", "should be a frame"),
         ("{target: a, source: b, rate: 2kHz}", "not between 1ms and 1h"),

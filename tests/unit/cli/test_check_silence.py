@@ -34,7 +34,7 @@ INT = "std_msgs/msg/Int32"
         ("to: ros, stale_after: 2s", "ROS receives nothing; 500ms later /diagnostics shows STALE"),
         (
             "to: ros, stale_after: 2s, on_stale: {value: {data: -1}, period: 5Hz}",
-            'after 2s ROS receives {"data": -1} every 200ms, and /a/substituted shows this; '
+            'after 2s ROS receives {"data": -1} every 200ms, and /a/substituted is true; '
             "500ms later /diagnostics shows STALE",
         ),
     ],

@@ -46,7 +46,7 @@ def test_types_that_cannot_be_used_are_listed(tmp_path: Path) -> None:
     assert [each["code"] for each in facts["unusable_types"]] == ["TYP004", "TYP004"]
     listed = rosplc("types", "--path", tmp_path / "ws")
     assert "my_msgs/msg/Good" in listed.stdout and "my_msgs/msg/Wide" not in listed.stdout
-    assert listed.stderr.count(f"not usable: {mistake}") == 1 and listed.stderr.count("\n") == 1
+    assert listed.stderr.count(f"cannot be used: {mistake}") == 1 and listed.stderr.count("\n") == 1
 
 
 def test_the_plc_program_finds_its_block_by_the_name_that_is_told(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_what_generate_would_refuse_is_a_warning(tmp_path: Path) -> None:
         "ros: {backend: memory}\ntasks: {Ros: {}, ROS: {}}\ntopics:\n"
         f"  /a: {{type: {INT}, to: plc, task: Ros}}\n  /b: {{type: {INT}, to: plc, task: ROS}}\n"
     )
-    assert "Warning: rosplc generate would refuse this" in explained(tmp_path, text)
+    assert "Warning: rosplc generate would fail: " in explained(tmp_path, text)
     assert made(text)["topics"]["/a"]["instance"] is None
 
 
@@ -87,8 +87,8 @@ def test_what_generate_would_refuse_is_a_warning(tmp_path: Path) -> None:
         ("{group: root}", "the user who starts the bridge and group root, no other user"),
         ("{owner: 0, group: 0}", "user root and group root, no other user"),
         ('{mode: "0600"}', "the user who starts the bridge; that user's group without access, no other user"),
-        ('{mode: "0644"}', "that user's group read-only, everybody else read-only (mode 0644)"),
-        ('{mode: "0666"}', "that user's group, everybody else read-write (mode 0666)"),
+        ('{mode: "0644"}', "that user's group read-only, other users read-only (mode 0644)"),
+        ('{mode: "0666"}', "that user's group, other users read-write (mode 0666)"),
     ],
 )
 def test_who_may_open_the_objects_is_told(tmp_path: Path, shm: str, words: str) -> None:
@@ -99,14 +99,14 @@ def test_who_may_open_the_objects_is_told(tmp_path: Path, shm: str, words: str) 
 @pytest.mark.parametrize(
     ("entry", "ros", "words"),
     [
-        ("to: plc, qos: sensor_data", "jazzy", "lost messages stay lost; at most 5 messages wait"),
-        ("to: plc", "jazzy", "messages published before the bridge started are not received"),
+        ("to: plc, qos: sensor_data", "jazzy", "are not sent again; at most 5 messages are queued"),
+        ("to: plc", "jazzy", "messages from before the bridge started are not received"),
         (
             "to: plc, latched: true",
             "jazzy",
-            "messages that publishers stored before the bridge started are received",
+            "messages from before the bridge started are received if their publishers stored them",
         ),
-        ("to: ros, qos: {depth: 1}", "jazzy", "sent again; only the newest message waits"),
+        ("to: ros, qos: {depth: 1}", "jazzy", "sent again; only the newest message is queued"),
         ("to: ros", "jazzy", "a late subscriber gets the stored messages"),
         ("to: ros, latched: false", "jazzy", "a late subscriber gets no earlier messages"),
         ("to: plc", "noetic", "over TCP: nothing is lost while the connection lasts"),
@@ -125,7 +125,7 @@ def test_memory_adds_up_and_is_split_by_direction(tmp_path: Path) -> None:
     )
     output = explained(tmp_path, text)
     assert "4 slots × 128 = " in output
-    assert "Shared memory in total: " in output and "(ROS → PLC " in output
+    assert "Total shared memory: " in output and "(ROS → PLC " in output
     classic = made(f"ros: {{backend: memory}}\ntopics:\n  /a: {{type: {INT}, to: plc, classic: true}}\n")
     assert classic["topics"]["/a"]["memory"]["object_bytes"] == 4
 
@@ -212,7 +212,7 @@ def test_actions_in_words_and_as_json(tmp_path: Path) -> None:
     output = " ".join(explained(tmp_path, text).split())
     for words in (
         "0 topics, 1 service and 2 actions",
-        "another goal up to 2 wait",
+        "another goal waits, at most 2",
         "undecided rejected after 5s",
         "without a PLC the goal continues",
         "action /b x called by the PLC",

@@ -47,7 +47,7 @@ def test_check_explains_memory_and_lock(config: Path, name: str) -> None:
     code, out, _ = run("check", "-v", config)
     assert code == 0
     assert f"shared memory {name} with the bare record" in out
-    assert f"semaphore {name}, tried for 5ms, freed after 1s" in out
+    assert f"semaphore {name}, wait limit 5ms, freed after 1s" in out
     assert "each changed record is a message" in out
     assert "slots" not in out
     assert f"no lock guards the classic memory {name}.free" in out

@@ -64,7 +64,7 @@ def begun(child: subprocess.Popen[str]) -> None:
     """Wait until a recorder says that it has begun."""
     assert child.stderr is not None
     for line in child.stderr:
-        if "Ctrl-C ends it" in line or "keeping the last" in line:
+        if "stop with Ctrl-C" in line or "keeping the last" in line:
             return
     raise AssertionError("it ended before it had begun")
 
@@ -168,7 +168,7 @@ def test_repairing(shm_namespace: Namespace, tmp_path: Path) -> None:
         rosplc("record", "--prefix", shm_namespace.prefix, "-o", out, "--duration", "2s")
     out.write_bytes(out.read_bytes()[:-40])
     said = rosplc("record", "--repair", out)
-    assert "it ends or is damaged" in said.stdout and (tmp_path / "r_repaired.mcap").exists()
+    assert "the file ends or is damaged" in said.stdout and (tmp_path / "r_repaired.mcap").exists()
     facts = json.loads(rosplc("record", "--repair", out, "-o", tmp_path / "again", "--json").stdout)
     assert facts["messages"] > 0 and facts["damaged"] == 0
     rosplc("record", "--repair", out, code=1)  # the name is taken now

@@ -185,7 +185,7 @@ def test_a_prefix_without_channels_is_told_from_a_machine_without_any(running):
         code = 1 if verb == "status" else 0
         output = rosplc(verb, "--prefix", "nosuch", code=code).output
         none = "There is no channel with the prefix nosuch on this machine"
-        assert f"{none}; there are channels with the prefix" in output
+        assert f"{none}; existing prefixes: " in output
         assert "There are no channels" not in output
     document = json.loads(rosplc("status", "--prefix", "nosuch", "--json", code=1).output)
     assert (document["worst"], document["channels"]) == (None, [])

@@ -187,7 +187,7 @@ def test_check_warns_of_a_backend_that_is_not_installed(config, monkeypatch):
     monkeypatch.setitem(BACKENDS, "rclpy", "rosplc.ros.nothing")
     path = config(ros={"backend": "rclpy"})
     output = " ".join(rosplc("check", path).output.split())
-    assert "Warning: on this machine the bridge would not start: the package of backend rclpy" in output
+    assert "the bridge would not start on this machine: the package for the rclpy backend" in output
     assert INSTALL["rclpy"] in output
     (warning,) = json.loads(rosplc("check", path, "--json").output)["warnings"]
     assert "rclpy" in warning
@@ -295,7 +295,7 @@ BAD = {
     "limit of zero": (["types", "std_msgs/String", "--limits", "data=0"], 1, "LAY001"),
     "missing file": (["check", "/nowhere/rosplc.yaml"], 2, "CFG001"),
     "run without its file": (["run", "/nowhere/rosplc.yaml"], 2, "CFG001"),
-    "check without a file": (["check"], 2, "this folder has no rosplc.yaml"),
+    "check without a file": (["check"], 2, "this folder contains no rosplc.yaml"),
     "a topic that does not exist": (["show", "/no/such/topic"], 1, "SHM101"),
     "a topic that cannot exist": (["show", "no slash"], 1, "SHM118"),
     "a prefix that cannot exist": (["show", "/a", "--prefix", "1"], 1, "SHM118"),

@@ -97,5 +97,5 @@ topics:
   /a: {type: geometry_msgs/msg/Twist, to: plc, classic: {name: io}}
   /b: {type: geometry_msgs/msg/Twist, to: ros, classic: {name: io}}
 """
-    with pytest.raises(ConfigErrors, match="both get the object name io"):
+    with pytest.raises(ConfigErrors, match="have the same object name, io"):
         resolve(parse_config(text))

@@ -40,7 +40,7 @@ def test_two_topics_of_one_message() -> None:
     [
         ("a: {type: double, value: 3, range: [0, 2]}", "a must be within 0.0 … 2.0"),
         ("a: {type: integer, range: [1, 2]}", "a must be within 1 … 2"),
-        ("a: {type: string, range: [1, 2]}", "a string cannot have a range"),
+        ("a: {type: string, range: [1, 2]}", "a parameter of type string cannot have a range"),
         ("a: {type: integer, range: [2, 1]}", "the range [2, 1] is empty"),
         ("a: {type: integer, range: [0, 1.5]}", "1.5 is not of type integer"),
         ("a: {type: bool, value: 1}", "1 is not of type bool"),
@@ -51,7 +51,7 @@ def test_two_topics_of_one_message() -> None:
         ("a: {type: string_array, value: b}", "'b' is not of type string_array"),
         ("a: {type: string, value: longer, length: 3}", "the text for a has more than 3 bytes"),
         ("a: {type: int}", "did you mean 'integer'?"),
-        ("a.b: {type: bool}\n    a_b: {type: bool}", "a_b and a.b both become a_b in the PLC"),
+        ("a.b: {type: bool}\n    a_b: {type: bool}", "a_b and a.b are both a_b in the PLC"),
         ("a: {type: bool}\n  task: Fast", "task 'Fast' is not defined"),
         (
             "a: {type: bool}\ntopics: {/parameters/wanted: {type: std_msgs/msg/Bool, to: plc}}",
@@ -70,7 +70,7 @@ def test_names_in_ros_1() -> None:
     """Groups are namespaces of the master there, which have no value."""
     head = "ros: {distro: noetic}\nparameters: {declare: "
     assert resolve(parse_config(head + "{a: {type: bool}, ab.c: {type: byte_array}}}")).parameters is not None
-    with pytest.raises(ConfigErrors, match=r"in ROS 1, parameter a cannot be a namespace"):
+    with pytest.raises(ConfigErrors, match=r"in ROS 1, a cannot also be a namespace"):
         resolve(parse_config(head + "{a: {type: bool}, a.b: {type: bool}}}"))
 
 

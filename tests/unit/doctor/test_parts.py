@@ -73,7 +73,7 @@ def test_an_examination_that_hangs_is_given_up() -> None:
     seen = run_probe(Probe("it", Area.MACHINE, look, 0.2))
     forever.set()
     assert [each.code for each in seen] == ["DOC101", "DOC002"]
-    assert "could not check it: no answer within 0.2 s" in seen[1].seen
+    assert "could not check it: no result within 0.2 s" in seen[1].seen
 
 
 def test_a_look_at_the_graph_that_hangs_is_ended(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -230,8 +230,8 @@ def test_blocks_of_services_are_compared_with_the_configuration(stage: Stage) ->
     found = problems(against_config(code, wanted(now), prefix, ""))
     assert {each: found[each].seen.partition(" layout")[0] for each in found} == {
         "DOC702": "/close response pick:",
-        "DOC704": "not in the code: service /close stack",
-        "DOC705": "only in the code: service /close place",
+        "DOC704": "the code has no block for service /close stack",
+        "DOC705": "the configuration has no entry for these blocks of the code: service /close place",
     }
 
 
@@ -367,7 +367,7 @@ def test_auto_says_why() -> None:
     (finding,) = backend("jazzy", "auto", {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, missing=lambda name: "")
     assert "backend auto selects zenoh, because RMW_IMPLEMENTATION is rmw_zenoh_cpp" in finding.seen
     (finding,) = backend("noetic", "auto", {}, configured=False, missing=lambda name: "no module")
-    assert finding.level is Level.WARNING and "install rosplc again" in finding.remedy
+    assert finding.level is Level.WARNING and "reinstall rosplc" in finding.remedy
 
 
 def test_needed_packages_are_those_of_the_metadata() -> None:
@@ -395,7 +395,7 @@ def test_an_unknown_plc_user_is_named(stage: Stage) -> None:
     """A user that this machine does not have is an error of its own."""
     path = stage.file("rosplc.yaml", f"prefix: {stage.namespace.prefix}\n")
     question = Question(path, plc_user="no-such-user", ros=False)
-    assert "no user 'no-such-user'" in problems(examination.examine(question).findings)["DOC303"].seen
+    assert "'no-such-user' does not exist" in problems(examination.examine(question).findings)["DOC303"].seen
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def test_everything_is_written_checked_and_explained(memory: tuple[str, ...], he
     assert (plan.qos.reliability, plan.layout.limits.fields["name"]) == ("best_effort", 6)
     assert project.topic("/mode").latched
     assert check(project)["warnings"] == []
-    assert f"Left out: /parts: {PART} is unknown" in output
+    assert f"Left out /parts: {PART} is unknown" in output
     assert "--types" in output
     for words in ("rosplc check rosplc.yaml", "rosplc run rosplc.yaml", "rosplc generate rosplc.yaml"):
         assert words in output

@@ -44,5 +44,5 @@ def test_a_packet_of_another_machine_is_heard(tmp_path) -> None:
 def test_the_hint_names_other_domains_only(monkeypatch) -> None:
     """The domain that was looked at is no hint, and a ROS master has no domain."""
     monkeypatch.setattr("rosplc.init.live.domains_in_use", lambda seconds: {0, 42})
-    assert "domain 42:" in elsewhere("domain 0, over dds")
+    assert "domain 42:" in elsewhere("domain 0 (backend dds)")
     assert elsewhere("the graph of http://localhost:11311") == ""

@@ -185,7 +185,7 @@ def test_a_bridge_learns_and_keeps(
 @pytest.mark.parametrize(
     ("distro", "describes", "words"),
     [
-        ("jazzy", False, "node /robot cannot describe it: no node serves"),
+        ("jazzy", False, "node /robot cannot describe the type: no node serves"),
         ("humble", True, "humble (ros.distro) has no service"),
     ],
 )

@@ -57,7 +57,7 @@ def test_what_was_always_empty_keeps_the_default_and_is_named() -> None:
     """Nothing was learnt of an empty sequence, and the file says so."""
     made = entry(JOINTS, name=(6, 6), effort=(0, 0))
     assert list(made.limits) == ["name"]
-    assert any("Always empty" in text and "effort" in text for text in made.about)
+    assert any("always empty" in text and "effort" in text for text in made.about)
 
 
 def test_without_a_message_the_defaults_hold_and_it_says_so() -> None:
@@ -65,7 +65,7 @@ def test_without_a_message_the_defaults_hold_and_it_says_so() -> None:
     made = entry(JOINTS, 0)
     assert not made.limits
     assert any("No message was seen in 5 s" in text for text in made.about)
-    assert any("Not seen yet" in text for text in made.about)
+    assert any("not seen yet" in text for text in made.about)
 
 
 def test_bounds_and_defaults_of_the_definition_win() -> None:

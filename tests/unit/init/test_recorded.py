@@ -154,7 +154,7 @@ def test_our_own_recording_keeps_directions_and_distribution(
         ("/sent", POSE, "ros"),
     }
     assert made.seen["/sent"].messages == 12
-    assert all("its publishers and the PLC" not in text for entry in made.entries for text in entry.about)
+    assert all("Its publishers and the PLC" not in text for entry in made.entries for text in entry.about)
     assert (source.found.ros["distro"], source.found.notes) == ("humble", ())
 
 

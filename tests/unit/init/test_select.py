@@ -82,5 +82,6 @@ def test_a_wish_that_is_none_is_an_error(text: str) -> None:
 
 def test_direction_comes_from_who_is_there() -> None:
     """Published goes to the PLC, also if somebody subscribes; what is only subscribed to comes from it."""
-    assert direction(TOPICS["/cmd_vel"]) == ("ros", "/base subscribes to it; it has no publisher")
-    assert direction(TOPICS["/mode"]) == ("plc", "/base publishes it for /panel; the PLC also subscribes")
+    assert direction(TOPICS["/cmd_vel"]) == ("ros", "it has subscribers (/base) but no publisher")
+    words = "it is published by /base for /panel; the PLC subscribes, too"
+    assert direction(TOPICS["/mode"]) == ("plc", words)

@@ -60,7 +60,7 @@ def test_a_difference_names_fields_not_offsets() -> None:
     """What differs is said in the terms of the definition, once per cause."""
     small = compute_layout(JAZZY, "sensor_msgs/JointState", Limits(fields={"name": 6}))
     large = compute_layout(JAZZY, "sensor_msgs/JointState")
-    assert small.difference(large) == "name is count(6) here and count(16) there"
+    assert small.difference(large) == "name is count(6) on this side, count(16) on the other"
     assert small.difference(large.text) == small.difference(large)
     assert small.difference(small) == ""
 
@@ -69,16 +69,16 @@ def test_a_difference_of_definitions() -> None:
     """Fields that one side lacks are named as such, and so is another type."""
     stores = [TypeStore.from_definition("a/B", text) for text in ("int8 x\nint8 y\n", "int8 x\nint16 z\n")]
     one, other = (compute_layout(store, "a/B") for store in stores)
-    assert one.difference(other) == "y exists only here; z exists only there"
+    assert one.difference(other) == "y exists only on this side; z exists only on the other side"
     swapped = compute_layout(TypeStore.from_definition("a/B", "int8 y\nint8 x\n"), "a/B")
     assert one.difference(swapped) == "the fields are in a different order"
     twist, accel = (compute_layout(JAZZY, f"geometry_msgs/{name}") for name in ("Twist", "Accel"))
-    assert twist.difference(accel) == "type is geometry_msgs/msg/Twist here and geometry_msgs/msg/Accel there"
+    assert twist.difference(accel).endswith("/msg/Twist on this side, geometry_msgs/msg/Accel on the other")
 
 
 def test_a_long_difference_is_cut() -> None:
     """Many differences are counted instead of listed."""
     one = compute_layout(JAZZY, "visualization_msgs/Marker", Limits(string=10, sequence=2))
     text = one.difference(compute_layout(JAZZY, "visualization_msgs/Marker"))
-    assert text.count(" here and ") == 5
+    assert text.count(" on this side, ") == 5
     assert text.endswith(" more")

@@ -183,11 +183,11 @@ def test_texts(tmp_path: Path, kind: str, ros: int, text: str, fields: tuple[lis
 
 
 WRONG = [
-    ("own_msgs__srv__One", "bool a\n", "TYP002", 2, "1 × `---`, not 0"),
-    ("own_msgs__srv__One", "bool a\n---\n---\nbool b\n", "TYP002", 3, "1 × `---`, not 2"),
-    ("own_msgs__action__One", "bool a\n---\nbool b\n", "TYP002", 4, "2 × `---`, not 1"),
+    ("own_msgs__srv__One", "bool a\n", "TYP002", 2, "1 × `---` between request, response; found 0"),
+    ("own_msgs__srv__One", "bool a\n---\n---\nbool b\n", "TYP002", 3, "response; found 2"),
+    ("own_msgs__action__One", "bool a\n---\nbool b\n", "TYP002", 4, "goal, result, feedback; found 1"),
     ("own_msgs__srv__One", "bool a\n---\n\nbool\n", "TYP002", 4, "'bool'"),
-    ("own_msgs__srv__One", "bool a\n--- # here\n", "TYP002", 3, "1 × `---`, not 0"),
+    ("own_msgs__srv__One", "bool a\n--- # here\n", "TYP002", 3, "response; found 0"),
     ("own_msgs__srv__One", "bool a\n---\nwstring b\n", "TYP004", 3, "unsupported"),
     ("own_msgs__srv__One", f"---\n{'=' * 80}\nMSG: a/B\nbool b\n", "TYP002", 3, "other types"),
     ("own_msgs__srv__One", "---\nNo[] no\n", "TYP001", 2, "own_msgs/msg/No is unknown"),

@@ -263,7 +263,7 @@ def test_types_that_contain_themselves_are_refused(text: str) -> None:
 @pytest.mark.parametrize(
     ("name", "remedy"),
     [
-        ("my_msgs/msg/Part", "ROS installs it as /opt/ros/DISTRO/share/my_msgs."),
+        ("my_msgs/msg/Part", "ROS installs it in /opt/ros/DISTRO/share/my_msgs."),
         ("sensor_msgs/msg/Imagery", "`rosplc types sensor_msgs` lists its types"),
     ],
 )

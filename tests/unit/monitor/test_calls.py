@@ -108,11 +108,11 @@ def test_a_call_is_open_until_it_is_answered_and_its_end_is_in_words(cell, use, 
     made.ask(data=True)
     made.answer(spec.ANSWER_NOT_EXECUTED, Reason.TIME_OUT)
     _, seen = made.look(watch)
-    ended = {"done": 1, "not executed: nothing arrived within the time limit": 1}
+    ended = {"done": 1, "not executed: no answer arrived within the time limit": 1}
     assert seen["request"].call.ended == seen["response"].call.ended == ended
     assert seen["request"].call.correlation == seen["response"].call.correlation
     message = watch.message(seen["response"])
-    assert message.marks[-2:] == ("call 2", "not executed: nothing arrived within the time limit")
+    assert message.marks[-2:] == ("call 2", "not executed: no answer arrived within the time limit")
     assert message.values == {"success": False, "message": ""}
 
 
@@ -140,7 +140,7 @@ def test_a_goal_is_followed_to_its_end(cell, use):
     made.caller.again(partial(goal.publish, made.layouts[Part.GOAL].pack({"data": 3})), spec.ASK_CANCEL)
     made.answer(spec.ANSWER_CANCELED, data=2)
     _, seen = made.look(watch)
-    assert watch.message(seen["goal"]).marks[-1] == "to be canceled"
+    assert watch.message(seen["goal"]).marks[-1] == "cancel requested"
     assert seen["goal"].words == "call 1 has ended: canceled"
     assert {view.kind for view in picture.channels} == {"action"}
 

@@ -99,7 +99,7 @@ def test_nothing_is_told_by_colour_alone(channels, top):
     channels("/a")
 
     async def drive(app, pilot):
-        await until(app, pilot, shows("! no PLC", "! 1 wrong"))
+        await until(app, pilot, shows("! no PLC", "! 1 not OK"))
 
     top((80, 24), drive)
 

@@ -71,7 +71,7 @@ def test_each_use_has_an_instance_that_is_called_once():
         "ROS_Actions.cycle(uiTask := 0);",
         "ROS_Actions._move(uiTask := 0);",
     ]
-    assert "instance of /move: move is named _move" in made.notes
+    assert "instance of /move: move was renamed to _move" in made.notes
     assert "SharedMemory_Write" not in texts
 
 

@@ -142,7 +142,7 @@ def test_every_type_of_a_distribution(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ((), 2, "no configuration was given"),
+        ((), 2, "no configuration file was given"),
         (("rosplc.yaml", "--all-types", "jazzy"), 2, "use a configuration file"),
         (("--all-types", "bouncy"), 1, "TYP006"),
         (("missing.yaml",), 2, "missing.yaml"),

@@ -347,7 +347,7 @@ def test_without_an_open_project_the_script_says_so(capsys):
 def test_notes_are_shown(ide, capsys):
     """Renamed identifiers are listed where the technician sees them."""
     run(import_script(project(read("/m", "visualization_msgs/msg/Marker"))), ide)
-    assert "rosplc: visualization_msgs_Marker: type is named _type" in capsys.readouterr().out
+    assert "rosplc: visualization_msgs_Marker: type was renamed to _type" in capsys.readouterr().out
 
 
 def test_texts_in_the_script_are_the_models(ide):

@@ -146,7 +146,7 @@ def test_constants_become_a_qualified_list():
     assert gvl.blocks[0].constant
     assert values["POINTS"] == ("DINT", "8")
     assert values["_ADD"] == ("DINT", "0")
-    assert f"{gvl.name}: ADD is named _ADD" in builder.renamings
+    assert f"{gvl.name}: ADD was renamed to _ADD" in builder.renamings
 
 
 def test_a_constant_and_a_field_may_differ_by_case_only():
@@ -221,5 +221,5 @@ def test_fields_with_hostile_names(tmp_path):
     assert not [name for name in names if is_reserved(name)]
     assert packed({builder.duts[0].name: builder.duts[0]}, builder.duts[0].name)[0] == each.size
     renamed = {text.removeprefix(f"{builder.duts[0].name}: ") for text in builder.renamings}
-    assert {f"{name} is named _{name}" for name in ("type", "end_if", "bool_to_int")} <= renamed
-    assert "data_count" in names and "data_count is named data_count_2" in renamed
+    assert {f"{name} was renamed to _{name}" for name in ("type", "end_if", "bool_to_int")} <= renamed
+    assert "data_count" in names and "data_count was renamed to data_count_2" in renamed

@@ -420,7 +420,7 @@ def test_fields_go_by_their_names(left: bool, shm_namespace: Namespace, tmp_path
     target = PlcTarget(source.topics, shm_namespace, project=None if left else project)
     play_into(target, source)
     assert shown(shm_namespace, "/axis") == {"position": 7.0, "speed": 3.0}
-    assert any("ordered differently" in note for note in target.notes)
+    assert any("have another order" in note for note in target.notes)
 
 
 @pytest.mark.parametrize(
@@ -547,7 +547,7 @@ def test_a_cut_file_is_replayed_and_repaired(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: open_source(path)._surveys[0].parts[3].end + 20])  # type: ignore[attr-defined]
     source = open_source(path)
-    assert "only the part before this is replayed" in source.notes[0]
+    assert "only the messages before this are replayed" in source.notes[0]
     assert [number for _, number in played(path).got] == list(range(40))
     done = repair(path, tmp_path / "b.mcap")
     assert (done.messages, done.topics) == (40, {"/t1": 40}) and done.problem

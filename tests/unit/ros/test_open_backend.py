@@ -18,7 +18,8 @@ STORE = TypeStore.bundled("jazzy")
 def test_unknown_backend_is_refused() -> None:
     """A name that is not a backend is refused, with those that are."""
     with pytest.raises(
-        BackendError, match=r"unknown backend 'ddz'; known: auto, dds, rclpy, zenoh, rospy, memory.*ROS001"
+        BackendError,
+        match=r"unknown backend 'ddz'; use one of auto, dds, rclpy, zenoh, rospy, memory.*ROS001",
     ):
         open_backend("ddz", STORE, "node")
 
@@ -30,7 +31,7 @@ def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cyclonedds", None)
     monkeypatch.setitem(sys.modules, "cyclonedds._clayer", None)
     with pytest.raises(
-        BackendError, match=r"backend dds is not installed: .*cyclonedds.*ROS001.*pip install"
+        BackendError, match=r"the dds backend cannot be imported: .*cyclonedds.*ROS001.*pip install"
     ):
         open_backend("dds", STORE, "node")
 

@@ -209,7 +209,7 @@ def test_a_semaphore_of_the_other_word_size_is_named(name: str) -> None:
     """sem_t has 16 bytes for 32-bit programs and 32 for 64-bit ones; they cannot share one."""
     other = 48 - SEMAPHORE_SIZE
     Path(f"/dev/shm/sem.{name}").write_bytes(struct.pack("<I", 1) + bytes(other - 4))
-    with pytest.raises(ChannelError, match=f"a {2 * other}-bit program created it") as error:
+    with pytest.raises(ChannelError, match=f"a {2 * other}-bit program created the semaphore") as error:
         ClassicLock(name, SECOND)
     assert code_of(error) == "SHM133"
 

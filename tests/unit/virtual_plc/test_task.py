@@ -135,7 +135,7 @@ def test_scheduling_says_what_is_in_force():
     task.start()
     wait_for(lambda: task.stats.scans >= 1)
     assert task.stop()
-    assert task.scheduling == "SCHED_FIFO 63" or "may not use" in task.scheduling
+    assert task.scheduling == "SCHED_FIFO 63" or "not allowed to use" in task.scheduling
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
-"""The terminal view: every channel of the machine, and a message with live values.
+"""The terminal view: all channels of the machine, and messages with live values.
 
-Only this package imports textual; it is part of the extra ``views``.
+Only this package imports textual, which is part of the extra ``views``.
 """
 
 from rosplc.monitor.terminal.app import TopApp

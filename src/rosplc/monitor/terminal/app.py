@@ -1,4 +1,4 @@
-"""The application, which gives each look to the screen that is shown, and its screens."""
+"""The application and its screens; each new look is given to the current screen."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _FIELDS = 2000
 
 
 class Course(Vertical):
-    """Shows the course of one number."""
+    """Shows the history of one number."""
 
     DEFAULT_CSS = """
     Course { height: 4; }
@@ -56,19 +56,19 @@ class Course(Vertical):
     """
 
     def compose(self) -> ComposeResult:
-        """Make heading, bars and figures."""
+        """Create heading, bars and figures."""
         yield Static("", id="course-name")
         yield Sparkline([], id="course-bars")
         yield Static("", id="course-figures")
 
     def show(self, path: str, values: list[float], seconds: float) -> None:
-        """Show a number's course: its values, one per look, the oldest first (none if it is no number)."""
+        """Show a number's history: one value per look, oldest first (empty if it is not a number)."""
         name = self.query_one("#course-name", Static)
         bars = self.query_one("#course-bars", Sparkline)
         figures = self.query_one("#course-figures", Static)
         shown = values[-max(1, self.size.width) :]
         if not shown:
-            name.update(Text("This field has no numbers", style="dim"))
+            name.update(Text("This field is not a number", style="dim"))
             figures.update("")
             bars.data = []
             return
@@ -89,7 +89,7 @@ _LONGEST_TEXT = 300
 class ValueTree(Tree[str]):
     """Shows nested values; a node's data is its path, ``pose.position.x`` or ``ranges[3]``.
 
-    Labels change in place, so that what is open stays open and the cursor stays where it is.
+    Labels change in place, so open nodes stay open and the cursor keeps its position.
     """
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class ValueTree(Tree[str]):
         self._shape: object = None
 
     def show(self, values: dict[str, Any], shape: object) -> None:
-        """Show a message's values; where ``shape`` differs from the last one, the tree is built again."""
+        """Show a message's values; if ``shape`` differs from the last one, the tree is rebuilt."""
         if shape != self._shape:
             self._shape = shape
             self.clear()
@@ -113,7 +113,7 @@ class ValueTree(Tree[str]):
         self._update(self.root, "", values)
 
     def on_tree_node_expanded(self, event: Tree.NodeExpanded[str]) -> None:
-        """Fill what was opened."""
+        """Fill the opened node."""
         path = event.node.data or ""
         if path in self._items:
             self._update(event.node, path, self._items[path])
@@ -184,7 +184,7 @@ _SHARE = 10
 
 
 class MessageScreen(Screen[None]):
-    """Shows one channel until it is left; ``seconds`` lie between two looks."""
+    """Shows one channel; ``seconds`` is the time between two looks."""
 
     DEFAULT_CSS = """
     MessageScreen Static { text-wrap: nowrap; text-overflow: ellipsis; }
@@ -212,7 +212,7 @@ class MessageScreen(Screen[None]):
         self._next = 0
 
     def compose(self) -> ComposeResult:
-        """Make heading, tree, course and keys."""
+        """Create heading, tree, history and keys."""
         yield Static(id="channel-head")
         yield Static(id="channel-state")
         yield Static(id="channel-words")
@@ -222,13 +222,13 @@ class MessageScreen(Screen[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Show what is known already."""
+        """Show the data that is already available."""
         self.query_one(ValueTree).focus()
         self._head()
         self._take()
 
     def on_tree_node_highlighted(self, event: Tree.NodeHighlighted[str]) -> None:
-        """Show the course of the number under the cursor."""
+        """Show the history of the number under the cursor."""
         if (event.node.data or "") in self._history:
             self._path = event.node.data or ""
             with suppress(NoMatches):  # the screen goes
@@ -314,7 +314,7 @@ class OverviewScreen(Screen[None]):
     """The first screen."""
 
     class Chosen(Message):
-        """A channel was chosen, to see its message."""
+        """A channel was chosen, to show its message."""
 
         def __init__(self, channel: ChannelView) -> None:
             super().__init__()
@@ -346,7 +346,7 @@ class OverviewScreen(Screen[None]):
         self._events: list[Event] = []
 
     def compose(self) -> ComposeResult:
-        """Make heading, table, details, events and keys."""
+        """Create heading, table, details, events and keys."""
         yield Static(id="head")
         yield Static(_NONE, id="nothing", markup=False)
         yield ChannelTable()
@@ -356,18 +356,18 @@ class OverviewScreen(Screen[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Let keys move in the table."""
+        """Give the table the keyboard focus."""
         self.query_one(ChannelTable).focus()
         self._draw()
 
     def on_resize(self, event: Resize) -> None:
-        """Give events the lines that a screen of this height can spare."""
+        """Adjust the number of event lines to the height of the screen."""
         lines = max((lines for height, lines in _EVENT_LINES if event.size.height >= height), default=0)
         self.query_one("#events", Static).styles.height = lines
         self.call_after_refresh(self._draw)
 
     def show(self, picture: Picture, events: list[Event]) -> None:
-        """Show a new look, and what happened since the start, the newest last."""
+        """Show a new look, and the events since the start, newest last."""
         self._picture, self._events = picture, events
         self._draw()
 
@@ -388,7 +388,7 @@ class OverviewScreen(Screen[None]):
         count = len(picture.channels)
         text.append(f"{shown} of {count} channels  " if shown != count else f"{count} channels  ", "not bold")
         text.append(
-            f"! {wrong} wrong  " if wrong else "all well  ", LEVEL_STYLES[Level.ERROR if wrong else Level.OK]
+            f"! {wrong} not OK  " if wrong else "all OK  ", LEVEL_STYLES[Level.ERROR if wrong else Level.OK]
         )
         if self.app.title == "paused":
             text.append("PAUSED  ", LEVEL_STYLES[Level.WARN])
@@ -432,12 +432,12 @@ class OverviewScreen(Screen[None]):
         box.update(text if newest else plain(" No events since the start.", "dim"), layout=False)
 
     def on_data_table_row_highlighted(self, event: ChannelTable.RowHighlighted) -> None:
-        """Tell about the row under the cursor."""
+        """Show details of the row under the cursor."""
         with suppress(NoMatches):  # the screen goes
             self._details()
 
     def on_data_table_row_selected(self, event: ChannelTable.RowSelected) -> None:
-        """Open the row's message."""
+        """Show the row's message."""
         view = self.query_one(ChannelTable).chosen
         if view is not None:
             self.post_message(self.Chosen(view))
@@ -453,30 +453,30 @@ class OverviewScreen(Screen[None]):
         self._reorder(replace(self._order, words=event.value))
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Go back to the table, which stays filtered."""
+        """Return to the table, which stays filtered."""
         self._close_filter()
 
     def action_sort(self) -> None:
-        """Sort by the next figure."""
+        """Sort by the next column."""
         self._reorder(self._order.next())
 
     def action_reverse(self) -> None:
-        """Sort the other way round."""
+        """Reverse the sort order."""
         self._reorder(replace(self._order, reverse=not self._order.reverse))
 
     def action_wrong(self) -> None:
-        """Show only what is wrong, or everything again."""
+        """Show only channels with a problem, or all channels again."""
         self._reorder(replace(self._order, wrong=not self._order.wrong))
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Let a slash be a letter while words are typed."""
+        """Treat a slash as text while a filter is typed."""
         return action != "filter" or not isinstance(self.focused, Input)
 
     def action_filter(self) -> None:
-        """Ask for words.
+        """Ask for filter words.
 
-        With a binding of priority and without waiting: in "/pose", typed in one piece, the rest must find the
-        field.
+        The binding has priority and does not wait: if "/pose" is typed quickly, the remaining characters must
+        reach the field.
         """
         field = self.query_one(Input)
         field.display = True
@@ -518,10 +518,10 @@ X unreadable  the object is damaged, or access to it is denied
 X missing     the topic is configured, but has no object
 X dead        the heartbeat of its bridge or PLC has stopped
 ! no bridge   the bridge was stopped; its last message remains
-! refused     messages did not fit in the last ten seconds
+! refused     within the last ten seconds, messages did not fit
 ! lost        messages that should be read were lost
 ~ stale       the newest message is older than stale_after
-~ silent      still no message after stale_after
+~ silent      no message has arrived within stale_after
 ! no PLC      no PLC task reads or writes it
 ! no server   no ROS server is ready for calls from the PLC
   looking     not yet watched long enough to see a heartbeat
@@ -541,7 +541,7 @@ message; a channel to ROS never is. This program is read-only.
 
 
 class HelpScreen(Screen[None]):
-    """Explains keys, states and columns."""
+    """Explains the keys, states and columns."""
 
     DEFAULT_CSS = """
     HelpScreen Static { padding: 0 1; }
@@ -551,7 +551,7 @@ class HelpScreen(Screen[None]):
     ]
 
     def compose(self) -> ComposeResult:
-        """Make the text, which scrolls."""
+        """Create the scrollable text."""
         with VerticalScroll():
             yield Static(_TEXT, markup=False)
         yield Footer()
@@ -561,7 +561,7 @@ _EVENTS = 200
 
 
 class TopApp(App[None]):
-    """Shows every channel of the machine until it is left; the caller closes the watch."""
+    """Shows all channels of the machine; the caller closes the watch."""
 
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+c", "quit", "Quit", show=False, priority=True)]
@@ -577,21 +577,21 @@ class TopApp(App[None]):
         self._overview = OverviewScreen()
 
     def on_mount(self) -> None:
-        """Begin to look."""
+        """Start to look."""
         self.push_screen(self._overview)
         self.call_later(self._look)
         self.set_interval(self._seconds, self._look)
 
     def on_overview_screen_chosen(self, message: OverviewScreen.Chosen) -> None:
-        """Open a channel's message."""
+        """Show a channel's message."""
         self.push_screen(MessageScreen(self._watch, message.channel, self._seconds))
 
     def action_help(self) -> None:
-        """Explain keys and states."""
+        """Show the help screen."""
         self.push_screen(HelpScreen())
 
     def action_pause(self) -> None:
-        """Let the picture stand, or go on."""
+        """Pause or resume the display."""
         self._paused = not self._paused
         self.title = "paused" if self._paused else "rosplc top"
         self._show()

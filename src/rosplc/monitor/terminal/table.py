@@ -1,6 +1,6 @@
-"""The table of channels, its columns and orders, and the colours of levels.
+"""The table of channels, its columns and sort orders, and the colours of levels.
 
-What a look has not changed stays as it is.
+Only cells whose content changes are updated.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ LEVEL_STYLES = {
     level: Style(color=None if _PLAIN else colour, bold=level is not Level.OK)
     for level, colour in _COLOURS.items()
 }
-"""How a level's mark and word look."""
+"""The style of a level's mark and word."""
 
 
 def plain(text: str, style: str = "") -> Text:
-    """Return text that stands for itself: no markup, and nothing that a terminal acts upon."""
+    """Return literal text, without markup or control characters."""
     return Text(one_line(text), style=style, no_wrap=True, end="")
 
 
 def state_cell(view: picture.ChannelView) -> Text:
-    """Return mark and word of a channel's state, in its level's colour."""
+    """Return the mark and word of a channel's state, in the colour of its level."""
     return Text(picture.state_text(view), style=LEVEL_STYLES[view.state.level], no_wrap=True, end="")
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
-    """Return what sorts robot2 before robot10."""
+    """Return a sort key that puts robot2 before robot10."""
     return [(int(part[:18]), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", text)]
 
 
@@ -61,14 +61,14 @@ ORDERS: dict[str, tuple[bool, Callable[[picture.ChannelView], Any]]] = {
     "type": (False, lambda view: view.type_name),
     "bridge": (False, lambda view: (view.prefix, view.bridge)),
 }
-"""Per name: whether the largest comes first, and what is compared."""
+"""Name → whether the largest comes first, and the sort key."""
 
 
 @dataclass(frozen=True)
 class Sorting:
-    """What a person chose: the order ``by`` one of :data:`ORDERS`, and which channels.
+    """The user's selection: the sort order, ``by`` one of :data:`ORDERS`, and which channels are shown.
 
-    Each of the ``words`` must be in topic, type, bridge, prefix or state.
+    Each of the ``words`` must occur in topic, type, bridge, prefix or state.
     """
 
     by: str = "topic"
@@ -77,12 +77,12 @@ class Sorting:
     wrong: bool = False
 
     def next(self) -> Sorting:
-        """Return the order by the figure that comes next."""
+        """Return the sort order by the next column."""
         names = list(ORDERS)
         return replace(self, by=names[(names.index(self.by) + 1) % len(names)], reverse=False)
 
     def of(self, channels: Iterable[picture.ChannelView]) -> list[picture.ChannelView]:
-        """Return the channels that are wanted, in order; equal ones stay in theirs."""
+        """Return the selected channels, sorted; equal ones keep their order."""
         words = self.words.casefold().split()
         found = [view for view in channels if self._wanted(view, words)]
         largest_first, key = ORDERS[self.by]
@@ -100,10 +100,10 @@ _LEAST_TOPIC = 8
 
 @dataclass(frozen=True)
 class Column:
-    """A column, with the name of its order.
+    """A column, with the name of its sort order.
 
-    Its ``width`` in cells is without the space that follows, 0 takes what is left; it is shown on screens of
-    ``from_width``. A ``figure`` is aligned to the right.
+    Its ``width`` is in cells, without the space that follows; 0 means the remaining width. It is shown on
+    screens of at least ``from_width`` cells. A ``figure`` is right-aligned.
     """
 
     by: str
@@ -129,14 +129,14 @@ _COLUMNS = (
 
 
 def columns_for(width: int) -> list[tuple[Column, int]]:
-    """Return the columns that a screen has room for, each with its width in cells."""
+    """Return the columns that fit on a screen, each with its width in cells."""
     shown = [column for column in _COLUMNS if width >= column.from_width]
     rest = width - sum(column.width + 1 for column in shown)
     return [(column, column.width or max(_LEAST_TOPIC, rest)) for column in shown]
 
 
 def fitted(column: Column, width: int, view: picture.ChannelView) -> str:
-    """Return a channel's text in exactly ``width`` cells; what is too long is shortened in the middle."""
+    """Return a channel's text in exactly ``width`` cells; long text is shortened in the middle."""
     text = whole = one_line(column.text(view))
     size = width
     while cell_len(text) > width:  # a character may take two cells
@@ -152,7 +152,7 @@ def heading(column: Column, width: int, order: Sorting) -> str:
 
 
 class ChannelTable(DataTable[Text]):
-    """Shows channels in an order; the cursor follows its channel."""
+    """Shows channels in a given order; the cursor follows its channel."""
 
     DEFAULT_CSS = """
     ChannelTable { height: 1fr; background: $background; overflow-x: hidden; scrollbar-size-vertical: 1; }
@@ -178,7 +178,7 @@ class ChannelTable(DataTable[Text]):
         return self._views[self.cursor_row] if self.cursor_row < len(self._views) else None
 
     def show(self, channels: list[picture.ChannelView], order: Sorting) -> None:
-        """Show channels, which are in this order."""
+        """Show channels that are sorted in this order."""
         chosen = self.chosen
         self._views, row = channels, self.cursor_row
         row = next((at for at, view in enumerate(channels) if chosen and view.id == chosen.id), row)

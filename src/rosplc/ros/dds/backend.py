@@ -65,7 +65,7 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 
 def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
-    """Return the domain: the given one, else ``ROS_DOMAIN_ID``, else 0; ROS010 if it is no number to 232."""
+    """Return the domain: the given one, else ``ROS_DOMAIN_ID``, else 0; ROS010 unless it is 0 to 232."""
     return domain_number(domain, environment, MAX_DOMAIN) or 0
 
 
@@ -90,7 +90,7 @@ def _peers(addresses: list[str]) -> str:
 
 
 def _interfaces(environment: Mapping[str, str], *, beyond: bool) -> str:
-    """Return the interfaces of a node that looks for others on this machine."""
+    """Return the interfaces of a node that discovers other nodes on this machine."""
     # Peers on older releases of Cyclone, and on Fast DDS, announce themselves to 127.0.0.1 alone, and this
     # release takes no announcement from an interface that it does not use. Lists of interfaces add up, so one
     # in the user's configuration must be the only one.
@@ -101,10 +101,10 @@ def _interfaces(environment: Mapping[str, str], *, beyond: bool) -> str:
 
 
 def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") -> str:
-    """Return the configuration for ``dds_create_domain``: XML fragments (``extra`` too) with commas.
+    """Return the configuration for ``dds_create_domain``: comma-separated XML fragments, with ``extra``.
 
-    ROS' environment variables have the effect that they have in ``rmw_cyclonedds_cpp``. The user's
-    ``CYCLONEDDS_URI`` comes last and wins.
+    ROS environment variables have the same effect as in ``rmw_cyclonedds_cpp``. The user's
+    ``CYCLONEDDS_URI`` comes last and takes precedence.
     """
     # Humble does not look at the newer variables; a value that ROS does not know is ROS010.
     humble = distro == "humble"
@@ -138,7 +138,7 @@ _NOT_HUMBLE = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")
 
 
 def check_peers(environment: Mapping[str, str], distro: str) -> None:
-    """Refuse (ROS010) a static peer without an address: the library would abort the process."""
+    """Refuse (ROS010) a static peer without an address, for which the library would abort the process."""
     users = environment.get("CYCLONEDDS_URI", "")
     if distro == "humble" or "udp6" in users or "IPv6" in users:
         return  # not looked at; or other addresses are fine
@@ -174,14 +174,14 @@ TYPES = threading.RLock()
 
 
 class Topics:
-    """A participant's topics, opened once and kept: no type is removed while the participant lives."""
+    """A participant's topics, each opened once and kept: no type is removed while the participant exists."""
 
     def __init__(self, participant: Any) -> None:
         self._participant = participant
         self._open: dict[tuple[str, Any], Any] = {}
 
     def __call__(self, name: str, data_type: Any) -> Any:
-        """Return the topic of this name and type; DDSException if the library refuses it."""
+        """Return the topic with this name and type; DDSException if the library refuses it."""
         with TYPES:
             if (name, data_type) not in self._open:
                 self._open[name, data_type] = Topic(self._participant, name, data_type)
@@ -206,7 +206,7 @@ _lock = threading.Lock()
 
 
 def enter(number: int, config: str) -> None:
-    """Make sure that a domain exists, with this configuration if it is new; raises ROS002."""
+    """Make sure that a domain exists; a new one gets this configuration. Raises ROS002."""
     with _lock, TYPES:
         if (entry := _domains.get(number)) is not None:
             entry.users += 1
@@ -226,7 +226,7 @@ def enter(number: int, config: str) -> None:
 
 
 def leave(number: int) -> None:
-    """Give a domain up; the last one deletes it."""
+    """Release a domain; the last release deletes it."""
     with _lock, TYPES:
         entry = _domains.get(number)
         if entry is None:
@@ -345,7 +345,7 @@ class DdsBackend(BaseNode):
         return kind(group, self._topics(topic, data_type), qos)
 
     def _make(self, full: str, name: str, qos: Qos, kind: Any) -> tuple[Any, ...]:
-        """Open the one or both entities of an endpoint, or none; return its arguments."""
+        """Open all entities of an endpoint (one or two), or none; return its arguments."""
         reads, service_id = kind.direction == "in", ""
         parts: tuple[str, ...] = (name,)
         topics: tuple[str, ...] = (dds_topic(full),)
@@ -376,7 +376,7 @@ class DdsBackend(BaseNode):
         return super()._hash(name) if self._hashes else ""
 
     def decoy(self, service: str, type_name: str) -> Any:
-        """Open another writer of a service's responses, which nothing matches."""
+        """Open another writer for a service's responses, which matches no reader."""
         topic, data_type = service_topics(service)[1], self._types.with_header(f"{type_name}_Response")
         try:
             return self._entity(DataWriter, topic, data_type, dds_qos(Qos(depth=1), ""), self._decoys)
@@ -395,7 +395,7 @@ class DdsBackend(BaseNode):
             endpoint.condition = self._waitset.attach(endpoint.reader_ref, endpoint.key)
 
     def route(self, subscription: DdsSubscription) -> bool:
-        """Lead messages to a subscription's sink, unless some are of strangers; return if there is a way."""
+        """Route messages to a subscription's sink if none are from strangers; return whether it is routed."""
         with self._lock:
             if self._inlet is None or not subscription.condition or subscription.closed:
                 return False
@@ -406,7 +406,7 @@ class DdsBackend(BaseNode):
             return True
 
     def forget(self, endpoint: Endpoint) -> None:
-        """Take in that an endpoint is being closed."""
+        """Note that an endpoint is being closed."""
         with self._lock:
             super().forget(endpoint)
             if endpoint.condition:
@@ -420,14 +420,14 @@ class DdsBackend(BaseNode):
         self._waitset.wake()
 
     def writer(self, topic: str, handle: int) -> Peer | None:
-        """Return the writer that a message came from; called by the receive thread."""
+        """Return the writer of a message; called by the receive thread."""
         if (found := self.peers.find(topic, "out", handle)) is None:
             self._look(0)
             found = self.peers.find(topic, "out", handle)
         return found
 
     def hurry(self, server: DdsServer) -> None:
-        """Look at a server's responses soon."""
+        """Check a server's responses soon."""
         self._hurried.append(server)
         self._waitset.wake()
 
@@ -476,7 +476,7 @@ class DdsBackend(BaseNode):
             self._review(self.peers.update(which))
 
     def _part(self) -> None:
-        """Forget the endpoints that have gone, once the responses that they sent before are taken."""
+        """Forget the endpoints that are gone, after their earlier responses have been taken."""
         left = frozenset(self.peers.left)
         clients = [endpoint for endpoint in self.endpoints() if isinstance(endpoint, DdsClient)]
         for client in clients:
@@ -535,7 +535,7 @@ class DdsBackend(BaseNode):
         return f"node {node}" if node else f"a DDS participant without a ROS node ({peer.guid[:12].hex()})"
 
     def _explain(self, endpoint: Endpoint, peer: Peer, matched: bool) -> Problem | None:
-        """Judge a peer."""
+        """Return a peer's problem, or None."""
         # If one does not match that should by all that is announced, the definitions differ; but discovery
         # and matching lag a moment behind each other when a peer comes or goes: reported only once it has
         # lasted.
@@ -555,7 +555,7 @@ class DdsBackend(BaseNode):
         return "ROS003", f"{_base.describe(peer.info, name)} with another definition"
 
     def graph(self) -> GraphInfo:
-        """Return what is seen of the other nodes."""
+        """Return the graph of the other nodes."""
 
         def infos(start: str) -> Iterator[EndpointInfo]:
             for peer in self.peers.all():

@@ -1,4 +1,4 @@
-"""Whether messages pass without Python work for each of them (``batch.c``): the trial that decides it."""
+"""The test that decides whether C code (``batch.c``) passes messages without Python work for each one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rosplc.errors import BackendError
 from rosplc.ros.dds import _batch, native
 
 RELEASE = "11.0.1"
-"""The release of the cyclonedds wheel whose functions ``batch.c`` declares; it is used with no other."""
+"""The release of the cyclonedds wheel whose functions ``batch.c`` declares; no other release is used."""
 
 _logger = logging.getLogger("rosplc.ros.dds")
 
@@ -39,26 +39,26 @@ _DOMAIN = 199
 
 @functools.cache
 def obstacle() -> str:
-    """Return why batches are not used in this process; empty if they are. The first call tries them out."""
+    """Return why batches are not used in this process; empty if they are. The first call runs a test."""
     found, why = version("cyclonedds"), ""
     if found != RELEASE:
-        why = f"batches in C require cyclonedds {RELEASE}, not {found}"
+        why = f"batch processing in C requires cyclonedds {RELEASE}, but {found} is installed"
     if not why:
         try:
             _batch.load(native.library._name)
             why = _trial()
         except (OSError, DDSException, BackendError) as error:
-            why = f"the self-test of batches in C failed: {error}"
+            why = f"the self-test of batch processing in C failed: {error}"
     if not why:
-        _logger.info("C code passes messages in batches, tested with cyclonedds %s", found)
+        _logger.info("messages are processed in batches in C; the self-test with cyclonedds %s passed", found)
         return ""
-    why = f"messages are passed one by one, which takes more CPU: {why}"
+    why = f"messages are processed one by one, which uses more CPU: {why}"
     _logger.warning("%s", why)
     return why
 
 
 def _trial() -> str:
-    """Send and receive a known message; return what went wrong."""
+    """Send and receive a known message; return the reason for a failure, or an empty text."""
     entities: list[Any] = [Domain(_DOMAIN, _ALONE.format(os.getpid()))]
     try:
         participant = DomainParticipant(_DOMAIN)
@@ -80,4 +80,4 @@ def _trial() -> str:
         for entity in reversed(entities):
             native.delete(entity)
     right = sent and came == ([], [(0, _SAMPLE, _STAMP)]) and sender.messages == 1
-    return "" if right else "in the self-test of batches in C, a message was not received as it was sent"
+    return "" if right else "the self-test of batch processing in C did not receive the message that it sent"

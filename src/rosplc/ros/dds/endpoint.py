@@ -23,7 +23,7 @@ BATCH = 256  # messages taken from one reader before the others get their turn
 
 
 class Endpoint(BaseEndpoint):
-    """What both directions have in common; the type hash is empty on Humble."""
+    """The common base of both directions; the type hash is empty on Humble."""
 
     strangers: frozenset[int] = frozenset()  # handles of publishers that announce another definition
 
@@ -42,14 +42,14 @@ class Endpoint(BaseEndpoint):
         self._known: tuple[tuple[Any, ...], EndpointStatus] | None = None
 
     def _names(self) -> tuple[str, str]:
-        """Return the topics of DDS: that of ``entity``, and the one whose messages are received."""
+        """Return the DDS topics: that of ``entity``, and the one whose messages are received."""
         return (dds_topic(self.topic),) * 2
 
     def _matched(self) -> int:
         return native.matched_count(self.ref, self.direction)
 
     def status(self) -> EndpointStatus:
-        """Return the present state; what cannot have changed is not asked again."""
+        """Return the current state; what cannot have changed is not queried again."""
         if self.serves or self.closed:
             return super().status()
         with self._asking:
@@ -66,7 +66,7 @@ class Endpoint(BaseEndpoint):
             return known[1]
 
     def renew(self) -> None:
-        """Find the state anew the next time: something has changed."""
+        """Discard the stored status: something has changed."""
         with self._asking:
             self._known = None
 
@@ -75,10 +75,10 @@ class Endpoint(BaseEndpoint):
         return frozenset() if self.closed else native.matched_handles(self.ref, self.direction)
 
     def review(self) -> None:
-        """Take in that peers may have come or gone. The node's lock is held."""
+        """Note that peers may have appeared or disappeared. The node's lock is held."""
 
     def _samples(self) -> Any:
-        """Take what has arrived, in part if it is much. The lock is held."""
+        """Take what has arrived, up to a limit. The lock is held."""
         if self.closed:
             return ()
         samples = ddspy_take(self.reader_ref, native.ANY_STATE, BATCH)
@@ -93,11 +93,11 @@ class Endpoint(BaseEndpoint):
         return library_log.dropped(self._received_topic) - self._unfit_before
 
     def entities(self) -> tuple[Any, ...]:
-        """Return what is deleted at the end."""
+        """Return the entities to delete at the end."""
         return (self._entity,)
 
     def close(self) -> None:
-        """Delete the entities; closing twice is harmless."""
+        """Delete the entities; a second call does nothing."""
         if not self.closed:
             super().close()
             for entity in self.entities():
@@ -108,7 +108,7 @@ class DdsSubscription(BaseSubscription, Endpoint):
     """A DDS reader of one topic; see :class:`rosplc.ros.backend.Subscription`."""
 
     def review(self) -> None:
-        """Find the strangers."""
+        """Find strangers: publishers with another type hash."""
         self.strangers = frozenset(
             peer.handle
             for peer in self._node.peers.on(self.dds_topic, "out")
@@ -117,12 +117,12 @@ class DdsSubscription(BaseSubscription, Endpoint):
         self._node.route(self)
 
     def divert(self, sink: Sink) -> bool:
-        """Give the sink what comes; see :data:`rosplc.ros.backend.Sink`."""
+        """Pass received messages to the sink; see :data:`rosplc.ros.backend.Sink`."""
         self.sink = sink
         return bool(self._node.route(self))
 
     def _matched(self) -> int:
-        """Publishers whose messages are delivered; with a lease, those that show that they live."""
+        """Number of publishers whose messages are delivered; with a lease, only those that are alive."""
         matched = len(self.matched_handles() - self.strangers) if self.strangers else super()._matched()
         if matched and self.qos.lease_ns:
             # Its strangers may be among those alive: at most as many as match.
@@ -130,13 +130,13 @@ class DdsSubscription(BaseSubscription, Endpoint):
         return matched
 
     def deliver(self, payload: bytes, stamp_ns: int) -> None:
-        """Deliver what the sink did not take; called by the receive thread alone."""
+        """Deliver what the sink did not take; called only by the receive thread."""
         with self._lock:
             if not self.closed:
                 self._deliver(payload, stamp_ns)
 
     def take(self) -> None:
-        """Deliver what has arrived; called by the receive thread alone."""
+        """Deliver what has arrived; called only by the receive thread."""
         # DDS matches a publisher that announces another definition of the type. Its messages may decode, with
         # values in the wrong fields, so they are refused and counted.
         with self._lock:
@@ -176,7 +176,7 @@ class DdsPublisher(BasePublisher, Endpoint):
         self.sink = self._outlet
 
     def open_sink(self, limit_ns: int) -> None:
-        """Let messages pass; see :data:`rosplc.ros.backend.Sink`."""
+        """Let messages pass directly; see :data:`rosplc.ros.backend.Sink`."""
         if self._outlet is not None and not self.closed:
             self._outlet.open(self._large, limit_ns)
 

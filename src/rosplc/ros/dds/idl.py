@@ -1,4 +1,4 @@
-"""Message types as DDS sees them: names, and the type information that a DDS topic needs.
+"""Message types in DDS: names, and the type information that a DDS topic needs.
 
 ROS 2 maps ``pkg/msg/T`` to ``pkg::msg::dds_::T_`` with final structs, plain field names and
 XCDR version 1; ``byte`` and ``char`` travel as octets
@@ -38,7 +38,7 @@ def dds_topic(topic: str) -> str:
 
 
 def ros_topic(name: str) -> str | None:
-    """Return the ROS topic of a DDS topic, or None if it carries no ROS topic (services, plain DDS)."""
+    """Return the ROS topic of a DDS topic, or None if it is not a ROS topic (service, plain DDS)."""
     return name[2:] if name.startswith("rt/") else None
 
 
@@ -48,7 +48,7 @@ def service_topics(service: str) -> tuple[str, str]:
 
 
 def ros_service(topic: str) -> str | None:
-    """Return the service of a DDS topic, or None if it belongs to none."""
+    """Return the service of a DDS topic, or None if it does not belong to a service."""
     for start, end in (("rq/", "Request"), ("rr/", "Reply")):
         if topic.startswith(start) and topic.endswith(end):
             return topic[2 : -len(end)]
@@ -56,7 +56,7 @@ def ros_service(topic: str) -> str | None:
 
 
 class IdlTypes:
-    """The wheel's type classes for the message types of one store, made when first asked for."""
+    """The wheel's type classes for the message types of one store, created on demand."""
 
     def __init__(self, store: TypeStore) -> None:
         self._store = store
@@ -69,7 +69,7 @@ class IdlTypes:
             return self._struct(self._store[type_name])
 
     def with_header(self, type_name: str) -> Any:
-        """Return the class of a request or response, with the header of a call before its fields."""
+        """Return the class of a request or response, with the call header before its fields."""
         with self._lock:
             return self._struct(self._store[type_name], _HEADER)
 

@@ -1,4 +1,4 @@
-"""The few functions of Cyclone DDS's C library that the ``cyclonedds`` wheel does not offer as such.
+"""The few functions of Cyclone DDS's C library that the ``cyclonedds`` wheel does not provide.
 
 Calls through here release the GIL; the wheel's own ``ddspy_*`` functions do not. Entities
 are plain integers in this module. Nothing else in rosplc touches ctypes for DDS.
@@ -37,7 +37,7 @@ def function(name: str, *arguments: Any, result: Any = ct.c_int32) -> Any:
 
 
 def _status(name: str, value: str = "total_count") -> Callable[[int], int]:
-    """Return what reads one number of an endpoint's status; 0 where there is none."""
+    """Return a function that reads one number of an endpoint's status; 0 if there is no such status."""
     kind = getattr(dds_c_t, f"{name}_status")
     get = function(f"dds_get_{name}_status", ct.c_int32, ct.POINTER(kind))
 
@@ -80,7 +80,7 @@ _MATCHED = {
 
 
 def refusal(doing: str, error: Exception | int, *, remedy: str = "") -> BackendError:
-    """Return the ROS002 error for something that the middleware refused."""
+    """Return the ROS002 error for a refusal by the middleware."""
     text = DDSException(error).msg if isinstance(error, int) else getattr(error, "msg", None) or str(error)
     return BackendError("ROS002", f"{doing}: {text}", remedy=remedy)
 
@@ -92,7 +92,7 @@ def _checked(code: int, doing: str) -> int:
 
 
 def delete(entity: Any) -> None:
-    """Delete one of the wheel's entities now, rather than when Python collects it."""
+    """Delete one of the wheel's entities now, not when Python collects it."""
     Entity._entities.pop(entity._ref, None)  # so that its finalizer leaves the handle alone
     _delete(entity._ref)
 
@@ -116,15 +116,15 @@ def matched_handles(ref: int, direction: str) -> frozenset[int]:
 
 
 def matched_count(ref: int, direction: str) -> int:
-    """Return how many peers an endpoint has matched."""
+    """Return the number of peers that an endpoint has matched."""
     return max(0, int(_MATCHED[direction](ref, None, 0)))
 
 
 class WaitSet:
-    """A thread's sleeping place over many readers, which tells *which* of them have data.
+    """Lets a thread wait for many readers, and shows *which* of them have data.
 
-    The wheel's own class tells only how many. A read condition is used and not the reader's
-    status: a status is cleared by any take, so a take with a limit would leave messages lying.
+    The wheel's own class shows only how many. A read condition is used instead of the reader's
+    status: any take clears the status, so a take with a limit would leave messages unread.
     """
 
     def __init__(self, participant: int, inlet: Inlet | None = None) -> None:
@@ -150,13 +150,13 @@ class WaitSet:
         self._attached -= 1
 
     def wake(self) -> None:
-        """Make the present or the next :meth:`wait` return at once."""
+        """Make the current or next :meth:`wait` return immediately."""
         _set_guard(self._guard, True)
 
     def wait(self, timeout_ns: int) -> tuple[list[int], Iterable[tuple[int, bytes, int]]]:
         """Sleep until a reader has data, :meth:`wake` is called, or the time is over.
 
-        Return the keys of what is ready, and what the inlet's sinks did not take: key, payload, stamp.
+        Return the keys of the ready readers, and the messages that no sink took: key, payload, stamp.
         """
         keys: list[int] = []
         left: Iterable[tuple[int, bytes, int]] = ()
@@ -174,7 +174,7 @@ class WaitSet:
         return keys, left
 
     def close(self) -> None:
-        """Delete the waitset; nothing may be waiting any more."""
+        """Delete the waitset; no thread may be waiting."""
         _delete(self.ref)
         _delete(self._guard)
 
@@ -185,11 +185,11 @@ _PAGE = 4096
 
 
 class LibraryLog:
-    """The reading side of the library's trace output, which it writes to ``path``.
+    """Reads the library's trace output, which the library writes to ``path``.
 
-    A message whose bytes do not fit its type is dropped inside the C library; the only trace is a warning. A
-    file in memory costs no more than a write and can neither block the library nor need the GIL, as a
-    callback would. The same warnings are on stderr, as with every program on Cyclone DDS.
+    A message whose bytes do not fit its type is dropped inside the C library; the only trace is a warning.
+    Writing to a file in memory is cheap; unlike a callback, it cannot block the library and does not need the
+    GIL. The same warnings appear on stderr, as in every program on Cyclone DDS.
     """
 
     def __init__(self) -> None:
@@ -204,7 +204,7 @@ class LibraryLog:
         self._fallocate.argtypes = [ct.c_int, ct.c_int, ct.c_int64, ct.c_int64]
 
     def drain(self, within_ns: int = 0) -> None:
-        """Read what was written since, and give its memory back; not if that was done within a time."""
+        """Read new output and free its memory, unless this was done within ``within_ns``."""
         if (now := time.monotonic_ns()) - self._drained_ns < within_ns:
             return
         with self._lock:
@@ -222,7 +222,7 @@ class LibraryLog:
                 self._freed = whole
 
     def dropped(self, topic: str) -> int:
-        """Return how many messages on a DDS topic did not fit their type, up to the last drain."""
+        """Return the number of messages on a DDS topic that did not fit their type, up to the last drain."""
         return self._dropped[topic]
 
 

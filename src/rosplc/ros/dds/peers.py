@@ -1,11 +1,11 @@
-"""The other participants' endpoints, as DDS's builtin topics and the library's own structures show them.
+"""The other participants' endpoints, from DDS's builtin topics and the library's own structures.
 
-DDS reports nothing when a reader and a writer of one topic do not fit each other, so the reason is found by
-comparison: another type name, another type hash (ROS announces it in the endpoint's user data), settings that
-exclude each other, and what is left is another definition of the type.
+DDS does not report why a reader and a writer of one topic do not match, so the reason is found by comparison:
+another type name, another type hash (ROS announces it in the endpoint's user data), incompatible settings,
+or, if none of these, another definition of the type.
 
-The wheel has a function that reads settings, but it keeps what it reads in variables of its class: two
-threads that use it at once mix up two peers' settings.
+The wheel has a function that reads settings, but stores the results in class variables: if two threads
+use it at the same time, they mix up the settings of two peers.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ class Peer:
 
     @property
     def has_header(self) -> bool:
-        """Whether its calls have their header in the payload, as those of ``rmw_cyclonedds_cpp``."""
+        """Whether its calls have their header in the payload, as in ``rmw_cyclonedds_cpp``."""
         return bool(self.service_id) or self.guid[:2] == _CYCLONE
 
 
 class PeerTable:
-    """What the builtin topics have shown so far; updated by the receive thread."""
+    """The endpoints discovered so far; updated by the receive thread."""
 
     def __init__(self, participant: Any, own: bytes) -> None:
         # Our 16-byte id: our endpoints are left out, but those of services, since a node may call itself.
@@ -84,7 +84,7 @@ class PeerTable:
         )
 
     def update(self, which: int) -> set[str]:
-        """Take what is new on ``readers[which]``, 0 or 1; return the DDS topics with new endpoints."""
+        """Take new data from ``readers[which]``, 0 or 1; return the DDS topics with new endpoints."""
         direction = "out" if which == 0 else "in"
         changed: set[str] = set()
 
@@ -112,7 +112,7 @@ class PeerTable:
                 return changed
 
     def gone(self) -> set[bytes]:
-        """Take what is new on ``readers[2]``; return the ids of participants that have left or died."""
+        """Take new data from ``readers[2]``; return the ids of participants that have left or died."""
         left: set[bytes] = set()
 
         def see(guid: bytes, _: None, info: Any) -> None:
@@ -125,7 +125,7 @@ class PeerTable:
                 return left
 
     def forget(self, guids: Iterable[bytes]) -> set[str]:
-        """Forget endpoints that have gone; return the DDS topics concerned."""
+        """Forget endpoints that are gone; return the DDS topics concerned."""
         self.left.difference_update(guids)
         with self._lock:
             known = [self._peers.pop(guid) for guid in guids if guid in self._peers]
@@ -141,7 +141,7 @@ class PeerTable:
         return tuple(peer for peer in self.on(topic, direction) if peer.guid != guid)
 
     def on(self, topic: str, direction: str) -> tuple[Peer, ...]:
-        """Return the endpoints of one direction on a DDS topic; the same object while they are the same."""
+        """Return the endpoints of one direction on a DDS topic; the same object while they are unchanged."""
         return self._by_topic.get((topic, direction), ())
 
     def find(self, topic: str, direction: str, handle: int) -> Peer | None:
@@ -168,7 +168,7 @@ def type_hash_in(user_data: bytes) -> str:
 
 
 def _getter(name: str, *kinds: Any, default: tuple[Any, ...]) -> Any:
-    """Return what reads the values of one setting; they are ``default`` where it is not set."""
+    """Return a function that reads the values of one setting; ``default`` if it is not set."""
     call = native.function(f"dds_qget_{name}", ct.c_void_p, *map(ct.POINTER, kinds), result=ct.c_bool)
 
     def get(qos: int) -> tuple[Any, ...]:
@@ -191,7 +191,7 @@ _userdata = _getter("userdata", ct.c_void_p, ct.c_size_t, default=(None, 0))
 
 
 def _announced(pointer: int, writer: bool) -> tuple[Qos, str, tuple[str, ...], str]:
-    """Return settings, type hash, what else keeps a plain ROS endpoint from matching, and a service's id."""
+    """Return settings, type hash, other obstacles to matching a plain ROS endpoint, and a service's id."""
     reliability, _ = _reliability(pointer)
     # Best effort is DDS's default of readers, reliable that of writers.
     reliable = writer if reliability is None else reliability == _RELIABLE
@@ -208,7 +208,7 @@ def _announced(pointer: int, writer: bool) -> tuple[Qos, str, tuple[str, ...], s
 
 
 def _time(ns: int) -> int:
-    """Return a time as :class:`Qos` has it: 0 is none."""
+    """Return a time in the form of :class:`Qos`: 0 means none."""
     return 0 if ns >= _INFINITE else max(1, ns)
 
 
@@ -260,7 +260,7 @@ LONGEST_NAME = 256  # the bound in rmw_dds_common/msg/NodeEntitiesInfo
 
 @dataclass(frozen=True, slots=True)
 class NodeEntities:
-    """One node of a participant: its names, and the 16-byte ids of its endpoints' DDS readers and writers."""
+    """A node of a participant: its names, and the 16-byte ids of its DDS readers and writers."""
 
     namespace: str
     name: str
@@ -274,7 +274,7 @@ class NodeEntities:
 
 
 def encode_announcement(types: TypeStore, participant: bytes, nodes: Iterable[NodeEntities]) -> bytes:
-    """Return the CDR bytes of a participant's announcement; ``types`` are a distribution's."""
+    """Return the CDR bytes of a participant's announcement; ``types`` are those of a distribution."""
     (data,) = types["rmw_dds_common/msg/Gid"].fields
     assert isinstance(data.type, ArrayType)
     size = data.type.length
@@ -297,9 +297,9 @@ def encode_announcement(types: TypeStore, participant: bytes, nodes: Iterable[No
 
 
 def decode_announcement(types: TypeStore, data: bytes) -> tuple[bytes, tuple[NodeEntities, ...]]:
-    """Return the participant's 16-byte id and its nodes; ROS008 if the bytes are no such message."""
+    """Return the participant's 16-byte id and its nodes; ROS008 if the bytes are not an announcement."""
     if not is_cdr(data):
-        raise BackendError("ROS008", "it is not plain CDR")
+        raise BackendError("ROS008", "the announcement is not plain CDR")
     found = fields.unpack(types, ANNOUNCEMENT, data)
 
     def ids(*gids: dict[str, bytes]) -> tuple[bytes, ...]:
@@ -320,11 +320,11 @@ _READ_QOS = Qos(durability="transient_local", depth=1000)  # one instance for al
 
 
 class Announcer:
-    """One node's place in the graph; ``qos_of`` makes the wheel's QoS from a :class:`Qos` and a type hash.
+    """Announces a node to the graph; ``qos_of`` makes the wheel's QoS from a :class:`Qos` and a type hash.
 
-    DDS knows participants, not nodes; every ROS 2 process announces on ``ros_discovery_info`` which of its
-    endpoints belong to which node. The bytes are handled here, and not by the wheel's classes: those take a
-    Python object per byte of a gid, which would hold up the receive thread.
+    DDS has participants but no nodes: every ROS 2 process announces on ``ros_discovery_info`` which of its
+    endpoints belong to which node. The bytes are handled here because the wheel's classes use a Python object
+    per byte of a gid, which would delay the receive thread.
     """
 
     def __init__(
@@ -352,7 +352,7 @@ class Announcer:
         self.announce({})
 
     def announce(self, endpoints: Mapping[bytes, bool], *, leaving: bool = False) -> None:
-        """Publish the node's endpoints (id → whether it is a reader), or that there is no node any more."""
+        """Publish the node's endpoints (id → whether it is a reader), or that the node is gone."""
         readers, writers = (
             tuple(sorted(guid for guid, reads in endpoints.items() if reads is wanted))
             for wanted in (True, False)
@@ -387,14 +387,14 @@ class Announcer:
                         self._names[gid] = node.full_name
 
     def forget(self, participant: bytes) -> None:
-        """Drop what a participant announced that has gone, or announces something else now."""
+        """Remove the announcement of a participant that is gone or has a new announcement."""
         with self._lock:
             for node in self._others.pop(participant, ()):
                 for gid in node.readers + node.writers:
                     self._names.pop(gid, None)
 
     def node_of(self, endpoint: bytes) -> str:
-        """Return the full name of the node that an endpoint belongs to; empty if nobody says."""
+        """Return the full name of the node that an endpoint belongs to; empty if unknown."""
         with self._lock:
             return self._names.get(endpoint, "")
 
@@ -404,7 +404,7 @@ class Announcer:
             return tuple(sorted({node.full_name for nodes in self._others.values() for node in nodes}))
 
     def close(self) -> None:
-        """Say that the node has gone, and delete the entities."""
+        """Announce that the node is gone, and delete the entities."""
         self.announce({}, leaving=True)
         for entity in (self._writer, self._reader):
             native.delete(entity)

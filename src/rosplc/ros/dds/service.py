@@ -1,15 +1,15 @@
 """Services on DDS, as ``rmw_cyclonedds_cpp`` maps them.
 
 A service is two topics, ``rq/<name>Request`` and ``rr/<name>Reply``; both endpoints of a server or client
-exist, or neither. Between encapsulation and fields each payload has 16 bytes: the client's id and the number
-of the call, both in the payload's byte order. A response repeats them, so any server may give it. The reader
-and the writer of one server have one ``serviceid=`` in their user data, those of a client one ``clientid=``.
+exist, or neither. Between encapsulation and fields, each payload has 16 bytes: the client's id and the number
+of the call, both in the payload's byte order. A response repeats them, so any server may send it. The reader
+and the writer of a server share one ``serviceid=`` in their user data, those of a client one ``clientid=``.
 
-Fast DDS uses the same names and carries the two numbers outside of the payload, so such endpoints match and
-misread each other: they are told by the vendor in their ids, and are neither served nor called. Their clients
-take a service to be available if as many request readers as reply writers exist (rmw_fastrtps,
-``rmw_service_server_is_available``), and as many of both have matched. So a server has a second reply writer,
-in a partition of its own where nothing matches it, as long as no server on Fast DDS has the same name.
+Fast DDS uses the same names but carries the two numbers outside of the payload, so such endpoints match and
+misread each other: they are recognized by the vendor in their ids, and are neither served nor called. Their
+clients consider a service available if equal numbers of request readers and reply writers exist and have
+matched (rmw_fastrtps, ``rmw_service_server_is_available``). Therefore, a server has a second reply writer,
+in a separate partition where nothing matches it, as long as no server on Fast DDS has the same name.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ def with_header(payload: bytes, client: int, number: int) -> bytes:
 def split_header(data: bytes) -> tuple[bytes, int, int]:
     """Return payload, client and number; ValueError if there is no header."""
     if len(data) < _ENCAPSULATION + _HEADER or not _base.is_cdr(data):
-        raise ValueError("it is too short for a call header")
+        raise ValueError("it has no call header, or is not plain CDR")
     client, number = struct.unpack_from(_ORDER[data[1]], data, _ENCAPSULATION)
     return data[:_ENCAPSULATION] + data[_ENCAPSULATION + _HEADER :], client, number
 
 
 class _Service(Endpoint):
-    """Both ends' reader, writer and peers on the two topics; entity and type hash are the request's."""
+    """The reader, writer and peers on the two topics; entity and type hash are those of the request."""
 
     def __init__(self, reader: Any, writer: Any, response_hash: str, *arguments: Any) -> None:
         asks = self.direction == "out"
@@ -68,7 +68,7 @@ class _Service(Endpoint):
         return request, self.reply_topic if self.direction == "out" else request
 
     def entities(self) -> tuple[Any, ...]:
-        """Return what is deleted at the end, the request's endpoint first."""
+        """Return the entities to delete at the end, the request's endpoint first."""
         return self._entity, self._other
 
     def peers(self, *, replying: bool = False) -> list[Peer]:
@@ -89,7 +89,7 @@ class _Service(Endpoint):
         return sum(map(self.understands, self.peers()))
 
     def _write(self, payload: bytes, client: int, number: int) -> bool:
-        """Send a message; False if a peer does not keep up."""
+        """Send a message; False if a peer cannot keep up."""
         with self._lock:
             if self.closed:
                 raise self._closed()
@@ -100,7 +100,7 @@ class _Service(Endpoint):
             return bool(code >= 0)
 
     def take(self) -> None:
-        """Hand over what has arrived; called by the receive thread alone."""
+        """Deliver what has arrived; called only by the receive thread."""
         with self._lock:
             samples = self._samples()
         for data, info in samples:
@@ -111,7 +111,7 @@ class _Service(Endpoint):
                     self.reject(error)
 
     def _arrived(self, info: Any, payload: bytes, client: int, number: int) -> None:
-        """Take in one message; ValueError if it is to be refused."""
+        """Process one message; ValueError if it must be refused."""
         raise NotImplementedError
 
     def _sender(self, info: Any, *, replying: bool = False) -> Peer:
@@ -122,7 +122,7 @@ class _Service(Endpoint):
 
 
 class _Pending(NamedTuple):
-    """A response that waits for the client's reply reader; the client is None if of an earlier process."""
+    """A response that waits for the client's reply reader; client None: from an earlier process's call."""
 
     since: int
     caller: bytes
@@ -131,7 +131,7 @@ class _Pending(NamedTuple):
 
 
 class DdsServer(KeepingServer, _Service):
-    """A service that is served; a caller: the client's id and the call's number, little-endian words."""
+    """A service server; a caller's id is the client's id and the call's number, as little-endian words."""
 
     remembers = True
 
@@ -143,7 +143,7 @@ class DdsServer(KeepingServer, _Service):
         self.decoy: Any = None  # the second reply writer
 
     def review(self) -> None:
-        """Keep clients on Fast DDS from taking this service to be theirs. The node's lock is held."""
+        """Prevent clients on Fast DDS from using this service. The node's lock is held."""
         foreign = any(not peer.has_header for peer in self._node.peers.on(self.dds_topic, "in"))
         if foreign and self.decoy is not None:
             native.delete(self.decoy)
@@ -152,7 +152,7 @@ class DdsServer(KeepingServer, _Service):
             self.decoy = self._node.decoy(self.topic, self.type_name)
 
     def entities(self) -> tuple[Any, ...]:
-        """Return what is deleted at the end."""
+        """Return the entities to delete at the end."""
         return (*super().entities(), *([self.decoy] if self.decoy is not None else []))
 
     def _arrived(self, info: Any, payload: bytes, client: int, number: int) -> None:
@@ -186,7 +186,7 @@ class DdsServer(KeepingServer, _Service):
         return True
 
     def flush(self) -> bool:
-        """Send the responses whose readers are known by now, drop those that are late; True if some wait."""
+        """Send the responses whose readers are known by now, drop late ones; return whether some wait."""
         with self._lock:
             pending, self._pending = self._pending, []
             for one in pending if not self.closed else ():
@@ -204,7 +204,7 @@ class DdsServer(KeepingServer, _Service):
 
 
 class DdsClient(BaseClient, _Service):
-    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
+    """A service client; see :class:`rosplc.ros.backend.ServiceClient`."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -214,7 +214,7 @@ class DdsClient(BaseClient, _Service):
         return len(self._receivers())
 
     def _receivers(self) -> list[int]:
-        """Return the servers; none while the request would also reach one that misreads it."""
+        """Return the servers; none while the request would also reach a server that misreads it."""
         requested = self.peers()
         if len(requested) < len(self.matched_handles()) or not all(map(self.understands, requested)):
             return []

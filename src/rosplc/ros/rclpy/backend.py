@@ -27,10 +27,10 @@ from rosplc.ros.rclpy.waiting import Waiting
 
 
 def read_options(options: Mapping[str, object]) -> tuple[list[str], bool]:
-    """Return ROS arguments for the node, and whether it has rclpy's services of parameters.
+    """Return the ROS arguments for the node, and whether it has rclpy's parameter services.
 
     The arguments are as after ``--ros-args`` on a command line: ``["-r", "cmd_vel:=base/cmd_vel",
-    "--enclave", "/cell1"]``. Raises BackendError ROS013 if a key is unknown or its value is not of its kind.
+    "--enclave", "/cell1"]``. Raises BackendError ROS013 if a key is unknown or has a value of the wrong type.
     """
     for key in options:
         if key not in ("ros_args", "parameter_services"):
@@ -46,7 +46,7 @@ _logger = logging.getLogger("rosplc.ros.rclpy")
 
 
 def guard_takes(executor: Any, refused: Callable[[Any, Exception], None]) -> None:
-    """Keep a message that cannot be taken from ending all deliveries."""
+    """Prevent a message that cannot be taken from stopping all deliveries."""
     # An empty serialized message makes the middleware's take raise (rmw_cyclonedds). rclpy's executors then
     # never release the entity and its callback group, which is that of all our endpoints.
     known = getattr(executor._take_subscription, "refused", None)
@@ -75,10 +75,10 @@ def _guarded(take: Callable[[Any], Any], nothing: Any, refused: list[Any]) -> Ca
 
 
 class OwnNode:
-    """One node that a thread of its own serves until :meth:`close`; raises what rclpy raises.
+    """A node with its own thread, which serves it until :meth:`close`; raises what rclpy raises.
 
-    Nothing of rclpy's process-wide state is touched: its default context and its signal handlers belong to
-    the program that the bridge may be part of.
+    rclpy's process-wide state is not touched: its default context and signal handlers belong to the program
+    that the bridge may be part of.
     """
 
     def __init__(
@@ -108,12 +108,12 @@ class OwnNode:
         self._thread = threading.Thread(target=self._run, name=f"rosplc-rclpy-{name}", daemon=True)
 
     def start(self, on_lost: Callable[[], None]) -> None:
-        """Begin to serve; ``on_lost`` is called if somebody else shuts the context down."""
+        """Start to serve; ``on_lost`` is called if other code shuts the context down."""
         self._on_lost = on_lost
         self._thread.start()
 
     def close(self) -> None:
-        """Stop serving and leave the graph; waits for that, unless called from a callback."""
+        """Stop serving and leave the graph; waits for this, unless called from a callback."""
         self._stopping = True
         with suppress(Exception):  # the executor is gone already, if the context was shut down
             self._executor.create_task(_nothing)  # what waits returns after it
@@ -144,7 +144,7 @@ class OwnNode:
         return False
 
     def leave(self) -> None:
-        """Give everything back; the thread's last work."""
+        """Release all resources; the thread's last task."""
         executor = self._executor
         for step in (
             self._waiting.release,
@@ -197,7 +197,7 @@ class RclpyBackend(BaseNode):
     # -- endpoints
 
     def check(self, type_name: str) -> None:
-        """Refuse a type that cannot be carried (TYP001, ROS011 or ROS012), without opening anything."""
+        """Refuse a type that cannot be carried (TYP001, ROS011 or ROS012) without opening anything."""
         _ = self._classes[type_name if _base.is_service(type_name) else self._store[type_name].name]
 
     def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
@@ -250,7 +250,7 @@ class RclpyBackend(BaseNode):
         self.logger.warning("cannot take a message: %s", error)
 
     def forget(self, endpoint: RclpyEndpoint) -> None:
-        """Take in that an endpoint is being closed."""
+        """Note that an endpoint is being closed."""
         super().forget(endpoint)
         self._since.pop(endpoint, None)
         node, entity = self._node, endpoint.entity
@@ -270,7 +270,7 @@ class RclpyBackend(BaseNode):
     # -- what is wrong
 
     def _ends(self, topic: str, direction: Literal["in", "out"], no_mangle: bool = False) -> list[Any]:
-        """Return the endpoints of one direction on a topic, our own node's too, as in ROS."""
+        """Return the endpoints of one direction on a topic, including our own node's, as in ROS."""
         node = self._node
         ask = (
             node.get_publishers_info_by_topic if direction == "out" else node.get_subscriptions_info_by_topic
@@ -283,7 +283,7 @@ class RclpyBackend(BaseNode):
     def _peers(
         self, name: str, direction: Literal["in", "out"], *, service: bool = False
     ) -> list[EndpointInfo]:
-        """Return the ends of a topic, or of a service: who reads (``in``) or writes its requests."""
+        """Return the endpoints of a topic, or of a service: readers (``in``) or writers of its requests."""
         found = self._users(name, direction) if service else self._ends(name, direction)
         return ends.read_peers(found, name, direction)
 
@@ -295,7 +295,7 @@ class RclpyBackend(BaseNode):
         return frozenset(bytes(info.endpoint_gid) for info in self._users(service, "in"))
 
     def fitting(self, endpoint: RclpyEndpoint) -> int:
-        """Return how many peers fit an endpoint."""
+        """Return the number of peers that match an endpoint."""
         peers, problems = self._compared(endpoint)
         return len(peers) - len(problems)
 
@@ -321,7 +321,7 @@ class RclpyBackend(BaseNode):
         return servers
 
     def _unexplained(self, endpoint: RclpyEndpoint, peers: list[EndpointInfo]) -> list[Problem]:
-        """Judge by count: rclpy does not tell which peers are matched."""
+        """Diagnose by count: rclpy does not report which peers are matched."""
         short = len(peers) - endpoint.matched
         if short <= 0:
             self._since.pop(endpoint, None)
@@ -335,14 +335,14 @@ class RclpyBackend(BaseNode):
         return [("ROS003", f"{short} of {len(peers)} peers have {why}: {_base.listed(found)}")]
 
     def _look(self, endpoint: RclpyEndpoint) -> None:
-        """Log once what the middleware's event is about; on the executor's thread."""
+        """Log the cause of a middleware event once; runs on the executor's thread."""
         if not endpoint.closed and endpoint.entity is not None:
             self._warn(endpoint)
 
     # -- looking at it
 
     def graph(self) -> GraphInfo:
-        """Return what is seen of the other nodes."""
+        """Return the graph of the other nodes."""
         if self._closed or self._lost:
             return GraphInfo()
         try:
@@ -369,7 +369,7 @@ class RclpyBackend(BaseNode):
         return _base.graph_info(nodes, found, calls)
 
     def lose(self) -> None:
-        """Note that the context is gone."""
+        """Note that the context was shut down."""
         self._lost = True
 
     def _stop(self) -> None:
@@ -378,7 +378,7 @@ class RclpyBackend(BaseNode):
             self._watch.join()
 
     def _leave(self) -> None:
-        """End our own node; one that was given stays."""
+        """End our own node; a node passed by the caller stays."""
         if self._own is not None:
             self._own.close()
 
@@ -388,7 +388,7 @@ def _name(peer: EndpointInfo) -> str:
 
 
 def refusal(what: str, error: Exception) -> BackendError:
-    """Return ROS002 for whatever rclpy raised."""
+    """Return ROS002 for an exception from rclpy."""
     return BackendError("ROS002", f"{what}: {str(error).strip() or type(error).__name__}")
 
 

@@ -1,8 +1,8 @@
-"""The bridge's own endpoints on rclpy: bytes in, bytes out, how they fare, and the middleware's events.
+"""The bridge's own endpoints on rclpy: bytes in, bytes out, their state, and the middleware's events.
 
-The hot paths are :meth:`RclpySubscription.take` and :meth:`RclpyPublisher.write`. Which events there are
-depends on the version of rclpy and on the middleware, and one that is not supported keeps an endpoint from
-being created. So the events are asked for from many to few.
+The hot paths are :meth:`RclpySubscription.take` and :meth:`RclpyPublisher.write`. The available events
+depend on the version of rclpy and on the middleware, and an unsupported event prevents an endpoint from
+being created. Therefore, creation is tried with fewer and fewer events.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def profile(qos: Qos) -> Any:
 
 
 def settings(found: Any) -> Qos:
-    """Return the settings of a profile that discovery shows; the depth is not announced and is 1."""
+    """Return the settings of a discovered profile; the depth is not announced and is set to 1."""
     best_effort = found.reliability == ReliabilityPolicy.BEST_EFFORT
     transient = found.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return Qos(
@@ -67,13 +67,13 @@ def settings(found: Any) -> Qos:
 
 
 def _bounded(duration: Any) -> int:
-    """Return a duration in ns; 0 if it is infinite (as discovery shows it) or unspecified (as here)."""
+    """Return a duration in ns; 0 if it is infinite (in discovered profiles) or unspecified (in our own)."""
     ns = int(duration.nanoseconds)
     return ns if 0 < ns < _INFINITE_NS else 0
 
 
 def read_peers(infos: Iterable[Any], topic: str, direction: Literal["in", "out"]) -> list[EndpointInfo]:
-    """Return what ``get_publishers_info_by_topic`` or ``get_subscriptions_info_by_topic`` gave."""
+    """Convert the result of ``get_publishers_info_by_topic`` or ``get_subscriptions_info_by_topic``."""
     return [
         EndpointInfo(
             topic,
@@ -119,7 +119,7 @@ _EVENTS = (
 
 
 class RclpyEndpointBase(BaseEndpoint):
-    """What all endpoints have in common; the topic is the one before remapping by ROS arguments."""
+    """The common base of all endpoints; the topic is the name before remapping by ROS arguments."""
 
     native: str  # what rclpy calls its entity
 
@@ -138,7 +138,7 @@ class RclpyEndpointBase(BaseEndpoint):
         raise NotImplementedError
 
     def details(self) -> dict[str, Any]:
-        """Return what rclpy's entity is created with, besides type, name and settings."""
+        """Return the arguments for creating rclpy's entity, besides type, name and settings."""
         return {}
 
     def _losses(self) -> int:
@@ -156,7 +156,7 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
     native = "subscription"
 
     def details(self) -> dict[str, Any]:
-        """Return the callback, with the parameters that this rclpy fills, and that messages stay bytes."""
+        """Return the callback, with the parameters of this rclpy version, and ``raw=True``."""
         callback = self.receive if _GIVES_STAMPS else self.receive_bytes
         return {"callback": callback, "raw": True}
 
@@ -166,17 +166,17 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
         return int(count()) if count is not None else int(self._node.fitting(self))
 
     def receive(self, payload: bytes, info: dict[str, Any]) -> None:
-        """Deliver a message that the executor has taken."""
+        """Deliver a message taken by the executor."""
         with self._lock:
             self._deliver(payload, info["source_timestamp"])
             self.take()  # an executor builds a wait set over all entities of the node for the next one
 
     def receive_bytes(self, payload: bytes) -> None:
-        """Deliver a message without a stamp, before ROS 2 Iron."""
+        """Deliver a message without a stamp, as before ROS 2 Iron."""
         self.receive(payload, {"source_timestamp": 0})
 
     def take(self) -> bool:
-        """Deliver what has arrived, as rclpy's executor takes it; return False after the end."""
+        """Deliver what has arrived, as rclpy's executor would; return False after the end."""
         with self._lock:
             for _ in range(_BATCH):
                 entity = self.entity
@@ -202,7 +202,7 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
         if is_cdr(payload):
             super()._deliver(payload, stamp_ns)
         else:
-            self.reject("it has no plain CDR header")
+            self.reject("no plain CDR header")
 
 
 class RclpyPublisher(BasePublisher, RclpyEndpointBase):
@@ -226,7 +226,7 @@ Endpoint = RclpySubscription | RclpyPublisher
 
 
 def create(make: Callable[..., Any], endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Any:
-    """Create an entity with as many events as the middleware supports; raises what rclpy raises."""
+    """Create an entity with as many events as the middleware supports; raises as rclpy does."""
     # ``make`` takes ``event_callbacks`` alone; ``look`` is called when a peer does not fit.
     for callbacks in _callbacks(endpoint, look):
         try:
@@ -255,7 +255,7 @@ class _Service(RclpyEndpointBase):
     serves = True
 
     def _converted(self, payload: bytes, part: str) -> Any:
-        """Return a message as an object; ROS008 if the bytes are none of the type."""
+        """Return a message as an object; ROS008 if the bytes are not of the type."""
         try:
             return deserialize_message(payload, getattr(self.entity.srv_type, part))
         except Exception as error:
@@ -263,11 +263,11 @@ class _Service(RclpyEndpointBase):
 
 
 class RclpyServer(_Service, KeepingServer):
-    """A service that is served; see :class:`rosplc.ros.backend.ServiceServer`.
+    """A service server; see :class:`rosplc.ros.backend.ServiceServer`.
 
-    rclpy sends what a server's callback returns; one that waits keeps its callback group occupied and the
-    executor spinning. So the callback returns the request itself, and what the executor then gives to
-    ``send_response``, the request's header beside it, is kept until the answer comes.
+    rclpy sends what a server's callback returns; a callback that waits would block its callback group.
+    Therefore, the callback returns the request itself, and the arguments that the executor then passes to
+    ``send_response``, including the request's header, are kept until the answer arrives.
     """
 
     native = "service"
@@ -306,7 +306,7 @@ class RclpyServer(_Service, KeepingServer):
 
 
 class RclpyClient(_Service, BaseClient):
-    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
+    """A service client; see :class:`rosplc.ros.backend.ServiceClient`."""
 
     native = "client"
 
@@ -351,7 +351,7 @@ class RclpyClient(_Service, BaseClient):
             self.end(number, Reply(serialize_message(response)))
 
     def look(self) -> None:
-        """End the calls whose servers have gone: rclpy tells nobody of it."""
+        """End the calls whose servers are gone, which rclpy does not report."""
         if self.calls and not self.closed:
             self.end_orphans(self._receivers())
 
@@ -361,13 +361,13 @@ class RclpyClient(_Service, BaseClient):
             self.entity.remove_pending_request(future)
 
     def gone(self, *servers: Any) -> None:
-        """End the calls that no other servers have received than these."""
+        """End the calls that only these servers have received."""
         super().gone(*servers)
         for number in tuple(self._futures.keys() - self.calls.keys()):
             self._withdraw(number)
 
     def forget(self, number: int) -> None:
-        """Wait no longer for a call."""
+        """Stop waiting for a call."""
         super().forget(number)
         self._withdraw(number)
 
@@ -386,7 +386,7 @@ _WORDS = {"msg": "message", "srv": "service", "action": "action"}
 
 
 def message_class(type_name: str) -> Any:
-    """Import a message's or service's class, or a part's (``…/Name_Request``); ROS011: not installed."""
+    """Import the class of a message, service or part (``…/Name_Request``); ROS011 if not installed."""
     package, kind, name = type_name.split("/")
     try:
         module = importlib.import_module(f"{package}.{kind}")
@@ -414,7 +414,7 @@ def message_class(type_name: str) -> Any:
 
 
 def field_text(kind: FieldType) -> str:
-    """Return a field's type as a generated class's ``get_fields_and_field_types`` writes it."""
+    """Return a field's type in the notation of a generated class's ``get_fields_and_field_types``."""
     if isinstance(kind, SequenceType):
         bound = "" if kind.bound is None else f", {kind.bound}"
         return f"sequence<{field_text(kind.element)}{bound}>"
@@ -429,9 +429,9 @@ def field_text(kind: FieldType) -> str:
 
 
 class MessageClasses:
-    """The classes of the types of a store, the bridge's own definitions, each compared once.
+    """The installed classes of the types in a store, each compared once with the bridge's definition.
 
-    The middleware's type support is the class's: were the definitions different, values would be in wrong
+    The middleware uses the class's type support: if the definitions differed, values would be in the wrong
     fields.
     """
 
@@ -440,7 +440,7 @@ class MessageClasses:
         self._found: dict[str, Any] = {}
 
     def __getitem__(self, type_name: str) -> Any:
-        """Return a type's class; TYP001, ROS011 if it is not installed, ROS012 if with other fields."""
+        """Return a type's class; TYP001, ROS011 if it is not installed, ROS012 if its fields differ."""
         if type_name not in self._found:
             parts = ("_Request", "_Response") if is_service(type_name) else ("",)
             for part in parts:

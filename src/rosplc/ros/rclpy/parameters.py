@@ -1,4 +1,4 @@
-"""Parameters by which a node shows what it is: ``ros2 param get NODE topics``."""
+"""Parameters that describe the node: ``ros2 param get NODE topics``."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _WORDS = "read-only; set by rosplc"
 
 
 class Shown:
-    """Parameters that change with the configuration, ``version`` at once, and that nothing else can set.
+    """The fixed parameter ``version``, and parameters that change only with the configuration.
 
-    rclpy lets no one change a read-only parameter, its own node included; so a callback guards these.
+    In rclpy, not even the node itself can change a read-only parameter; therefore a callback protects these.
     """
 
     def __init__(self, node: Any) -> None:
@@ -29,7 +29,7 @@ class Shown:
         node.add_on_set_parameters_callback(self._judge)
 
     def update(self, values: Mapping[str, str | list[str]]) -> None:
-        """Declare or change parameters; an empty list is shown as the text ``none``."""
+        """Declare or change parameters; an empty list is shown as ``none``."""
         self._ours = True
         try:
             for name, value in values.items():

@@ -1,7 +1,7 @@
-"""What the bridge's own node waits in: one wait set, used again as long as the node's entities are the same.
+"""The wait set of the bridge's own node, reused as long as the node's entities are the same.
 
-rclpy's executors make one for each message. Here the bridge's subscriptions are emptied whenever it wakes;
-whatever else is ready (services, timers, tasks, events) is left to the executor.
+rclpy's executors create a wait set for each message. Here, the bridge's subscriptions are emptied at each
+wake-up; anything else that is ready (services, timers, tasks, events) is left to the executor.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _ours(entity: Any) -> RclpySubscription | None:
 
 
 class Waiting:
-    """Serves a node on one thread; by its executor alone if this rclpy has not what is used of its inside."""
+    """Serves a node on one thread; uses only the executor if this rclpy lacks the required internals."""
 
     def __init__(self, executor: Any, node: Any) -> None:
         self._executor, self._node = executor, node
@@ -41,7 +41,7 @@ class Waiting:
         self._events_at = 0
 
     def spin_once(self) -> None:
-        """Wait, and do what there is to do; raises what the executor raises."""
+        """Wait, and process what is ready; raises what the executor raises."""
         if self._alone:
             self._executor.spin_once()
         elif self._rest:
@@ -53,13 +53,13 @@ class Waiting:
                 self._rest = True
                 # Not when an entity has just been destroyed, or all of them.
                 if not isinstance(error, InvalidHandle) and self._executor.context.ok():
-                    _logger.warning("rclpy's executor receives all messages, which takes more CPU: %s", error)
+                    _logger.warning("rclpy's executor receives all messages, which uses more CPU: %s", error)
                     self._alone = True
                     self.release()
                     vars(self._executor).pop("can_execute", None)
 
     def release(self) -> None:
-        """Let go of what was waited for."""
+        """Release the wait set."""
         self._set = None
         self._held.close()
 
@@ -103,7 +103,7 @@ class Waiting:
         return made
 
     def _receive(self) -> bool:
-        """Wait, and empty the subscriptions that are ready; return whether anything else is."""
+        """Wait, and empty the subscriptions that are ready; return whether anything else is ready."""
         if self._set is None:
             self._set = self._gather()
         if self._executor._tasks:  # come while the executor looked, which has taken their guard's trigger

@@ -1,4 +1,4 @@
-"""The ROS 1 backend: one node with a master, any number of them in one process."""
+"""The ROS 1 backend: a node registered with a master; a process can have any number of nodes."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ Registered = Incoming | Outgoing | RospyServer
 
 
 class Registration:
-    """A thread that keeps the master's knowledge of one node right.
+    """A thread that keeps the registration of one node with the master up to date.
 
-    rospy registers once; a master that was restarted knows no node, and rospy's nodes then talk only to those
-    that they know. Here the master is asked every second what it knows, and told what it lacks.
+    rospy registers once. A restarted master has no registrations, and rospy nodes then reach only the nodes
+    that they already know. Here, the master is queried every second, and missing registrations are repeated.
     """
 
     def __init__(self, node: Any, master: str) -> None:
@@ -50,15 +50,15 @@ class Registration:
         self._thread = threading.Thread(target=self._run, name="rosplc-master", daemon=True)
 
     def start(self) -> None:
-        """Begin, once the node can be reached."""
+        """Start, when the node can be reached."""
         self._thread.start()
 
     def wake(self) -> None:
-        """Make the thread look at the topics now."""
+        """Make the thread check the topics now."""
         self._wake.set()
 
     def close(self) -> None:
-        """End; the master is told that the node leaves, if it answers."""
+        """Stop, and unregister the node if the master answers."""
         self._closing = True
         self._wake.set()
         if threading.current_thread() is not self._thread:
@@ -200,7 +200,7 @@ class RospyBackend(BaseNode):
     # -- endpoints
 
     def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
-        """Open an endpoint; ROS002 if this node has the topic as another type, or serves the service."""
+        """Open an endpoint; ROS002 if this node uses the topic with another type or serves the service."""
         with self._lock:
             if kind.serves:
                 endpoint = kind(*receiver, self, *self._resolve(topic, type_name), qos)
@@ -232,7 +232,7 @@ class RospyBackend(BaseNode):
         return self._store.service_md5(type_name)
 
     def forget(self, endpoint: Any) -> None:
-        """Take in that an endpoint is being closed."""
+        """Note that an endpoint is being closed."""
         if not isinstance(endpoint, RospySubscription | RospyPublisher):
             with self._lock:
                 super().forget(endpoint)
@@ -255,7 +255,7 @@ class RospyBackend(BaseNode):
             self.wake()
 
     def usable(self) -> None:
-        """Raise ROS009 after :meth:`close`, ROS015 if the node was told to leave."""
+        """Raise ROS009 after :meth:`close`, ROS015 if the node was asked to shut down."""
         super()._usable()
         if self.ended:
             raise BackendError("ROS015", self.ended)
@@ -263,7 +263,7 @@ class RospyBackend(BaseNode):
     _usable = usable
 
     def wake(self) -> None:
-        """Have the topics looked at now: a connection, a topic or a handle has come or gone."""
+        """Have the topics checked now: a connection, topic or handle was added or removed."""
         self._registration.wake()
 
     def topics(self) -> dict[Key, Any]:
@@ -282,7 +282,7 @@ class RospyBackend(BaseNode):
         return [one for one in self.endpoints() if isinstance(one, RospyClient)]
 
     def servers(self, service: str) -> frozenset[str]:
-        """Return who serves a service, as the master knew it a second ago at most."""
+        """Return the nodes that serve a service, according to the master at most a second ago."""
         return self._registration.state.services.get(service, frozenset())
 
     def keep_parameters(
@@ -294,13 +294,13 @@ class RospyBackend(BaseNode):
         return self.parameters
 
     def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
-        """Take the master's word for who publishes a topic."""
+        """Update the publishers of a topic as reported by the master."""
         if (incoming := self.having("in").get(topic)) is not None:
             incoming.publishers = uris
             incoming.update()
 
     def told_to_leave(self, caller: str, why: str) -> None:
-        """Leave, as ROS 1 asks of a node whose name another one has taken, and of one that is killed."""
+        """Shut down, as ROS 1 requires of a node whose name another node has taken, or that is killed."""
         if "same name" in why:
             self._end(f"another node named {self.node} has started, and ROS 1 keeps the newer node")
         else:
@@ -309,7 +309,7 @@ class RospyBackend(BaseNode):
             )
 
     def moved(self, uri: str) -> None:
-        """Leave: another node has this node's name."""
+        """Shut down: another node has taken this node's name."""
         self._end(f"the node at {uri} has taken the name {self.node}, and ROS 1 keeps the newer node")
 
     def _end(self, why: str) -> None:
@@ -319,7 +319,7 @@ class RospyBackend(BaseNode):
             threading.Thread(target=self._disconnect, name="rosplc-leave", daemon=True).start()
 
     def _disconnect(self) -> None:
-        """Disconnect, and keep the endpoints so that their status tells why."""
+        """Disconnect, but keep the endpoints, so that their status shows the reason."""
         self._registration.close()
         for topic in self.topics().values():
             topic.disconnect() if isinstance(topic, RospyServer) else topic.close()
@@ -328,7 +328,7 @@ class RospyBackend(BaseNode):
     # -- what is wrong
 
     def diagnose(self, endpoint: Any) -> Problem:
-        """Return what keeps peers from matching, and log it once."""
+        """Return what prevents peers from matching, and log it once."""
         code, reason = super().diagnose(endpoint)
         # ROS014 and ROS015 are logged once for all topics.
         if code not in ("", "ROS014", "ROS015") and self._logged.first((endpoint.topic, reason)):
@@ -373,9 +373,9 @@ class RospyBackend(BaseNode):
     # -- looking at it
 
     def graph(self) -> GraphInfo:
-        """Return what the master knew of the other nodes, a second ago at most.
+        """Return the graph of the other nodes according to the master at most a second ago.
 
-        ROS 1 knows a topic's type and no quality of service: only who latches, once connected.
+        ROS 1 has no quality of service; whether a publisher latches is only known after connecting.
         """
         if self._closed:
             return GraphInfo()

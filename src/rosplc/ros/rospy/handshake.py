@@ -1,4 +1,4 @@
-"""Connections between nodes: their headers, read with bounds and compared, and a topic of our node.
+"""Connections between nodes: headers, read within limits and compared, and the topics of our node.
 
 http://wiki.ros.org/ROS/Connection%20Header
 """
@@ -26,11 +26,11 @@ _ids = itertools.count(1)
 
 
 class HandshakeError(Exception):
-    """The other side's header is missing, too long or no header; or its stream of messages is out of step."""
+    """The other side's header is missing, too long or invalid; or its stream of messages is out of step."""
 
 
 def prepare(sock: socket.socket) -> socket.socket:
-    """Set a connection up as rospy does: a peer whose machine has lost its power is missed after 150 s."""
+    """Configure a connection as rospy does: the loss of a peer's machine is detected after 150 s."""
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 9)
@@ -42,7 +42,7 @@ def prepare(sock: socket.socket) -> socket.socket:
 def connect(
     place: tuple[str, int], fields: Mapping[str, str], clock: Clock = SYSTEM
 ) -> tuple[socket.socket, dict[str, str]]:
-    """Connect and exchange headers; return the connection and the other's. Raises OSError, HandshakeError."""
+    """Connect, exchange headers; return connection and peer's header. Raises OSError, HandshakeError."""
     sock = socket.create_connection(place, TIMEOUT_S)
     try:
         prepare(sock).sendall(encode_header(fields))
@@ -53,7 +53,7 @@ def connect(
 
 
 def connection_info(sock: socket.socket, peer: str, direction: str, topic: str) -> list[list[Any]]:
-    """Return what ``rosnode info`` prints of a connection, if any; it knows the text of rospy's own."""
+    """Return what ``rosnode info`` prints about a connection, if any, in rospy's text format."""
     with contextlib.suppress(OSError):  # it ends at this moment
         port, (host, other) = sock.getsockname()[1], sock.getpeername()[:2]
         text = f"TCPROS connection on port {port} to [{host}:{other} on socket {sock.fileno()}]"
@@ -69,7 +69,7 @@ def encode_header(fields: Mapping[str, str]) -> bytes:
 
 
 def read_header(sock: socket.socket, timeout_s: float, clock: Clock = SYSTEM) -> dict[str, str]:
-    """Read one header and nothing behind it. Raises OSError, HandshakeError: None came within the time."""
+    """Read one header and nothing beyond it. Raises OSError; HandshakeError if none arrived in time."""
     deadline_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
     length = int.from_bytes(_exactly(sock, 4, deadline_ns, clock), "little")
     if length > MOST_HEADER:
@@ -130,7 +130,7 @@ def peer_type(fields: Mapping[str, str]) -> tuple[str, str]:
 def mismatch(
     node: str, verb: str, topic: str, theirs: tuple[str, str], ours: tuple[str, str]
 ) -> tuple[str, str] | None:
-    """Return code and words if type name and MD5 sum of a peer (``*``: any) are not ours; None if they are.
+    """Return an error code and text if a peer's type name and MD5 sum (``*``: any) differ from ours, or None.
 
     ``verb`` is ``publishes``, ``subscribes to`` or ``serves``.
     """
@@ -145,7 +145,7 @@ def mismatch(
 
 
 class Definition(NamedTuple):
-    """A type: its name ``package/msg/Name``, MD5 sum, and definition with all types that it needs."""
+    """A type: its name ``package/msg/Name``, MD5 sum, and definition including all types that it uses."""
 
     type_name: str
     md5: str
@@ -162,7 +162,7 @@ class Definition(NamedTuple):
 
 
 class Topic:
-    """A topic that the node receives or sends; its subscriptions or publishers share its connections."""
+    """A topic that the node receives or sends; its subscriptions or publishers share the connections."""
 
     direction: str
     role: str  # in the names of the master's methods
@@ -174,20 +174,20 @@ class Topic:
         self._closed = False
 
     def add(self, handle: Any) -> None:
-        """Serve one more subscription or publisher."""
+        """Add a subscription or publisher."""
         with self._lock:
             self.handles += (handle,)
 
     def unregister(self, master: Master) -> None:
-        """Withdraw the topic from the master."""
+        """Unregister the topic from the master."""
         master.call(f"unregister{self.role}", self.topic, self.node.uri)
 
     def register(self, master: Master) -> Any:
-        """Tell the master of the topic; return its answer."""
+        """Register the topic with the master; return the master's response."""
         name = ros1_name(self.definition.type_name)
         return master.call(f"register{self.role}", self.topic, name, self.node.uri)
 
     def remove(self, handle: Any) -> None:
-        """Serve it no longer."""
+        """Remove a subscription or publisher."""
         with self._lock:
             self.handles = tuple(one for one in self.handles if one is not handle)

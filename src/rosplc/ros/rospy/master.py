@@ -21,7 +21,7 @@ DEFAULT_MASTER = "http://localhost:11311"
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """How a node finds the graph and is found."""
+    """The addresses by which a node finds the graph and is found."""
 
     master: str  # the master's URI
     host: str  # the host name or address that other nodes are told
@@ -29,7 +29,7 @@ class Address:
 
 
 def place_of(uri: object, scheme: str = "http") -> tuple[str, int] | None:
-    """Return host and port of ``http://host:port``, with or without a slash at its end; else None."""
+    """Return host and port of ``http://host:port``, with or without a final slash; otherwise None."""
     with suppress(ValueError):
         parts = urlsplit(uri) if isinstance(uri, str) and len(uri) <= 1024 else None
         if parts is not None and parts.scheme == scheme and parts.hostname and parts.port:
@@ -38,7 +38,7 @@ def place_of(uri: object, scheme: str = "http") -> tuple[str, int] | None:
 
 
 def is_node_uri(uri: object) -> bool:
-    """Return whether this is the URI of a node's or the master's interface."""
+    """Return whether this is the URI of a node's or master's interface."""
     return place_of(uri) is not None
 
 
@@ -81,15 +81,15 @@ _LONGEST = 10  # times the timeout for all of an answer: one that drips in must 
 
 
 class UnreachableError(Exception):
-    """Nobody answers there, or not in the way of ROS; the text says what happened."""
+    """No valid ROS response was received; the text shows what happened."""
 
 
 class RefusedError(Exception):
-    """The other side answered that it will not."""
+    """The other side refused the request."""
 
 
 class _Transport(xmlrpc.client.Transport):
-    """The standard one knows no timeout, takes answers of any size, and asks for compressed ones."""
+    """Unlike the standard transport, limits time and size, and does not accept compressed responses."""
 
     accept_gzip_encoding = False  # a few bytes would become any number of them
 
@@ -103,7 +103,7 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
     def parse_response(self, response: Any) -> Any:
-        """Read an answer; ValueError or OSError for one that is none, too large or too slow."""
+        """Read a response; ValueError or OSError if it is invalid, too large or too slow."""
         if response.getheader("Content-Encoding", "identity") != "identity":
             raise ValueError("it is compressed, which was not requested")
         deadline_ns = self._clock.monotonic_ns() + round(_LONGEST * self._timeout_s * 1e9)
@@ -122,14 +122,14 @@ class _Transport(xmlrpc.client.Transport):
 
 
 def proxy(uri: str, timeout_s: float = _TIMEOUT_S, clock: Clock = SYSTEM) -> xmlrpc.client.ServerProxy:
-    """Return a proxy for one thread's use whose calls end after ``timeout_s`` seconds without news."""
+    """Return a proxy for one thread; its calls end after ``timeout_s`` seconds without new data."""
     return xmlrpc.client.ServerProxy(uri, transport=_Transport(timeout_s, clock))
 
 
 def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any:
     """Call a method of ROS's API and return its value.
 
-    Raises UnreachableError without an answer that it knows, RefusedError for a code other than 1.
+    Raises UnreachableError without a valid response, RefusedError for a code other than 1.
     """
     try:
         code, text, value = getattr(server, method)(*arguments)
@@ -137,7 +137,7 @@ def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise UnreachableError(why) from error
     except (xmlrpc.client.Error, ExpatError, ValueError, TypeError) as error:
-        raise UnreachableError(f"its answer is not valid in ROS: {error}") from error
+        raise UnreachableError(f"invalid response: {error}") from error
     if code != 1:
         raise RefusedError(str(text))
     return value
@@ -145,7 +145,7 @@ def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any
 
 @dataclass(frozen=True, slots=True)
 class SystemState:
-    """What the master knows."""
+    """The state of the master."""
 
     # topic → names of the nodes that publish it
     publishers: dict[str, frozenset[str]] = field(default_factory=dict)
@@ -159,7 +159,7 @@ class SystemState:
 
 
 class Master:
-    """The master as one node, ``caller``, sees it; for one thread's use."""
+    """The master as seen by the node ``caller``; for use by one thread."""
 
     def __init__(self, uri: str, caller: str, timeout_s: float = _TIMEOUT_S, clock: Clock = SYSTEM) -> None:
         self.uri = uri
@@ -171,10 +171,10 @@ class Master:
         return call(self._server, method, self._caller, *arguments)
 
     def service_place(self, service: str) -> tuple[str, int]:
-        """Return host and port of a service's server. Raises RefusedError: There is none."""
+        """Return host and port of a service's server. Raises RefusedError if there is no server."""
         uri = self.call("lookupService", service)
         if (place := place_of(uri, "rosrpc")) is None:
-            raise UnreachableError(f"its answer is not valid in ROS: {str(uri)[:200]}")
+            raise UnreachableError(f"invalid response: {str(uri)[:200]}")
         return place
 
     def node_uri(self, node: str) -> str:
@@ -192,7 +192,7 @@ class Master:
             return None
 
     def state(self, known: SystemState | None = None) -> SystemState:
-        """Return what the master knows; types are asked for only where ``known`` differs."""
+        """Return the state of the master; types are requested only if it differs from ``known``."""
         try:
             publishers, subscribers, services = (_table(part) for part in self.call("getSystemState"))
             nodes = frozenset().union(*publishers.values(), *subscribers.values(), *services.values())
@@ -201,7 +201,7 @@ class Master:
             else:
                 types = {str(topic): str(kind) for topic, kind in self.call("getTopicTypes")}
         except (TypeError, ValueError) as error:
-            raise UnreachableError(f"its answer is not valid in ROS: {error}") from error
+            raise UnreachableError(f"invalid response: {error}") from error
         return SystemState(publishers, subscribers, services, nodes, types)
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
-"""A node's parameters on the parameter server of ROS 1's master, below the node's name.
+"""A node's parameters on the parameter server of the ROS 1 master, below the node's name.
 
-That server has neither types nor refusals: what a parameter cannot become is set back there, and logged.
+The server has no types and refuses nothing: an invalid value is reset on the server, and this is logged.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _NOT_IN_XML = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class MasterParameters:
-    """Keeps parameters on the master's server, and has ``apply`` make hold what is set there.
+    """Keeps parameters on the master's server; ``apply`` puts values that are set there into effect.
 
-    Those with ``take`` are global ones, which are read and never set. Nothing happens to the others before
-    :meth:`begin`, or before :meth:`changed` has said what holds. ``look`` is for the thread that looks after
-    the node's registration; the other methods are for any.
+    Parameters with ``take`` are global: they are read, but never set. The others are not used before
+    :meth:`begin`, or before :meth:`changed` has set the values in effect. ``look`` is for the thread that
+    maintains the node's registration; the other methods may be called from any thread.
     """
 
     def __init__(self, node: Any, declared: Sequence[Parameter], apply: Apply) -> None:
@@ -41,7 +41,7 @@ class MasterParameters:
         self._due_ns = 0
 
     def begin(self, names: Collection[str]) -> Mapping[str, Any]:
-        """Return values of these parameters that the server has from before; they hold."""
+        """Return earlier values of these parameters on the server; they take effect."""
         found: Mapping[str, Any] = {}
         master = Master(self._node.master_uri, self._place, clock=self._node.clock)
         with closing(master), suppress(UnreachableError):
@@ -51,20 +51,20 @@ class MasterParameters:
         return found
 
     def changed(self, values: Mapping[str, Any]) -> None:
-        """Take in values that hold now; the server gets them within a second."""
+        """Note values that are in effect now; the server gets them within a second."""
         self.values, self._known = {**self.values, **values}, True
 
     def notice(self) -> None:
-        """Take in that the server may have other values."""
+        """Note that the values on the server may have changed."""
         self._due_ns = 0
         self._node.wake()
 
     def close(self) -> None:
-        """Look no more; what the server has stays."""
+        """Stop checking the server; its values stay."""
         self._node.parameters = None
 
     def look(self, master: Master) -> None:
-        """Compare with the server, each second. Raises as :meth:`Master.call`."""
+        """Compare the values with those on the server, once per second. Raises as :meth:`Master.call`."""
         now = self._node.clock.monotonic_ns()
         if now < self._due_ns:
             return
@@ -92,12 +92,12 @@ class MasterParameters:
         return f"{self._place}/{name.replace('.', '/')}"
 
     def _news(self, name: str, found: Any) -> bool:
-        """Take in what the server has, None for nothing; return whether somebody has set that."""
+        """Note the server's value, None if there is none; return whether another node has set it."""
         before, self._shown[name] = self._shown.get(name), _text(found)
         return found is not None and self._shown[name] != before
 
     def _wanted(self, tree: Any, preset: Collection[str] | None = None) -> dict[str, Any]:
-        """Return the values that were set on the server and can be had; others are logged."""
+        """Return the values that were set on the server and are valid; others are logged."""
         wanted = {}
         for each in self._own:
             found = tree
@@ -138,7 +138,7 @@ class MasterParameters:
 
 
 def _text(value: Any) -> str:
-    """Return what tells values apart, also by their types; NaN is itself."""
+    """Return a text that distinguishes values, also by type; NaN equals NaN."""
     try:
         return repr(value)
     except RecursionError:  # lists in lists in lists
@@ -146,7 +146,7 @@ def _text(value: Any) -> str:
 
 
 def _form(value: Any) -> Any:
-    """Return a value as XML-RPC has it: whole numbers of more than 32 bits are doubles, bytes a list."""
+    """Convert a value for XML-RPC: integers of more than 32 bits become doubles, bytes a list."""
     if isinstance(value, bytes | list):
         return [_form(each) for each in value]
     if isinstance(value, str):
@@ -155,7 +155,7 @@ def _form(value: Any) -> Any:
 
 
 def _fitting(parameter: Parameter, found: Any) -> Any:
-    """Return what the server has as a parameter's value; ValueError with words if it cannot be."""
+    """Convert a value on the server to a parameter's value; ValueError with the reason if not possible."""
     found = list(found.data) if isinstance(found, Binary) else found
     return parameter.fitting(_whole(found) if parameter.kind.startswith("integer") else found)
 

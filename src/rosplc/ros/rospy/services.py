@@ -1,4 +1,4 @@
-"""Services over TCPROS: each caller of a server, and each call of a client, has a connection and a thread.
+"""Services over TCPROS: each caller of a server and each call of a client has a connection and a thread.
 
 http://wiki.ros.org/ROS/TCPROS
 """
@@ -37,7 +37,7 @@ def _has_gone(sock: socket.socket) -> bool:
 
 
 class _Caller:
-    """The connection of one caller; ``key`` is that of its open request."""
+    """The connection of one caller; ``key`` identifies its open request."""
 
     def __init__(self, sock: socket.socket, server: RospyServer, persistent: bool) -> None:
         self.sock, self.key = sock, b""
@@ -47,12 +47,12 @@ class _Caller:
         self._frame = b""
 
     def waits(self, key: bytes) -> bool:
-        """Return whether it waits for the answer to a request."""
+        """Return whether the caller waits for the response to a request."""
         with self._lock:
             return bool(key) and self.key == key and not _has_gone(self.sock)
 
     def answer(self, key: bytes, frame: bytes) -> bool:
-        """Have the answer to a request sent; False if its caller has gone. Never blocks."""
+        """Queue the response to a request; False if the caller is gone. Never blocks."""
         with self._lock:
             if not key or self.key != key or _has_gone(self.sock):
                 return False
@@ -61,7 +61,7 @@ class _Caller:
         return True
 
     def run(self) -> None:
-        """Serve the caller until it has gone: its thread."""
+        """Serve the caller until it disconnects; runs in the caller's thread."""
         server = self._server
         try:
             while self._serve() and self._persistent:
@@ -100,7 +100,7 @@ class _Caller:
 
 
 class _Service(BaseEndpoint):
-    """What server and client have in common."""
+    """The common base of server and client."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -124,10 +124,10 @@ class RospyServer(_Service, KeepingServer):
         return len(self.connections)
 
     def accept(self, sock: socket.socket, header: dict[str, str]) -> str:
-        """Serve a caller that has connected; return why not, or an empty text."""
+        """Serve a connected caller; return the reason for a refusal, or an empty text."""
         node, md5 = header["callerid"][:256], header["md5sum"][:64]
         if md5 not in (ANY, self._md5):
-            self.reject(f"node {node} calls it with md5sum {md5}, but the local md5sum is {self._md5}")
+            self.reject(f"node {node} calls this service with md5sum {md5}, but the local one is {self._md5}")
             return f"service {self.topic} is {self.type_name} with md5sum {self._md5}, not {md5}"
         fields = {"callerid": self._node.node, "service": self.topic, "md5sum": self._md5}
         for name, end in (("type", ""), ("request_type", "Request"), ("response_type", "Response")):
@@ -155,7 +155,7 @@ class RospyServer(_Service, KeepingServer):
         return origin is not None and origin.answer(caller, frame)
 
     def refuse(self, caller: bytes, text: str) -> bool:
-        """Answer that the call has failed, and why."""
+        """Tell the caller that the call has failed, and why."""
         with self._lock:
             return self._answer(caller, self._callers.pop(caller, None), text.encode(), ok=0)
 
@@ -166,18 +166,18 @@ class RospyServer(_Service, KeepingServer):
         return origin.waits(caller)
 
     def register(self, master: Master) -> None:
-        """Tell the master of it; a server of another node is replaced, as ROS 1 has it."""
+        """Register the service with the master; as usual in ROS 1, this replaces another node's server."""
         master.call("registerService", self.topic, self._node.service_uri, self._node.uri)
 
     def unregister(self, master: Master) -> None:
-        """Withdraw it."""
+        """Unregister the service."""
         master.call("unregisterService", self.topic, self._node.service_uri)
 
     def update(self) -> None:
-        """Do nothing: callers come by themselves."""
+        """Do nothing: callers connect on their own."""
 
     def close(self) -> None:
-        """Stop serving; callers that wait are told so."""
+        """Stop serving; waiting callers are informed."""
         super().close()
         self.disconnect()
 
@@ -190,14 +190,14 @@ class RospyServer(_Service, KeepingServer):
 
 @dataclass(slots=True)
 class _Link:
-    """The connection of one call, once there is one, and whether it is not needed any more."""
+    """The connection of one call, if established, and whether it is no longer needed."""
 
     sock: socket.socket | None = None
     stopped: bool = False
 
 
 class RospyClient(_Service, BaseClient):
-    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
+    """A service client; see :class:`rosplc.ros.backend.ServiceClient`."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -214,7 +214,7 @@ class RospyClient(_Service, BaseClient):
     # -- who serves it
 
     def update(self) -> None:
-        """Look for the server if the master knows another one than before, or it could not be reached."""
+        """Find the server if the master reports another one, or if it could not be reached."""
         servers = self._node.servers(self.topic)
         now = self._clock.monotonic_ns()
         with self._lock:
@@ -356,7 +356,7 @@ class RospyClient(_Service, BaseClient):
         return sock
 
     def forget(self, number: int) -> None:
-        """Wait no longer for a call: its connection is closed."""
+        """Stop waiting for a call: its connection is closed."""
         super().forget(number)
         if (link := self._links.get(number)) is not None:
             self._stop(link)
@@ -375,7 +375,7 @@ class RospyClient(_Service, BaseClient):
 
 
 def _read(sock: socket.socket, size: int) -> bytes:
-    """Read so many bytes, as they come. Raises HandshakeError: They are too many, or it ended before."""
+    """Read ``size`` bytes. Raises HandshakeError if they are too many or the connection ends early."""
     if size > LARGEST:
         raise HandshakeError(f"it announces {size} bytes; the limit is {LARGEST}")
     data = bytearray()

@@ -26,7 +26,7 @@ MOST_GREETINGS = 128  # Subscribers whose headers are waited for at once.
 
 
 class _Api:
-    """The Slave API: every public method is callable by any node; so nothing here trusts its arguments."""
+    """The Slave API: any node can call any public method, so no arguments are trusted."""
 
     def __init__(self, master: str, node: Any, place: tuple[str, int]) -> None:
         self._master, self._node, self._place = master, node, place
@@ -81,7 +81,7 @@ def _types(topics: dict[str, Any]) -> list[list[str]]:
 
 
 class _Request(SimpleXMLRPCRequestHandler):
-    """The standard library's, which believes any announced length."""
+    """The standard library's handler, with a limit on the announced length."""
 
     protocol_version = "HTTP/1.1"  # as rospy's: the connection is kept
 
@@ -94,17 +94,17 @@ class _Request(SimpleXMLRPCRequestHandler):
         super().do_POST()
 
     def log_message(self, *_: object) -> None:
-        """Log nothing: a master calls every second."""
+        """Log nothing: there are calls every second."""
 
 
 class _Dispatcher(SimpleXMLRPCDispatcher):
-    """What a request handler asks of a server of the standard library."""
+    """The server interface that the standard library's request handler needs."""
 
     logRequests = _send_traceback_header = False
 
 
 class _Listener:
-    """Accepts up to ``most`` connections; each has a thread, so that a silent caller keeps none waiting."""
+    """Accepts up to ``most`` connections; each has a thread, so that a silent caller delays no other."""
 
     def __init__(self, bind: str, serve: Callable[[socket.socket], None], most: int, clock: Clock) -> None:
         self._sock = socket.create_server((bind, 0), backlog=128)
@@ -115,7 +115,7 @@ class _Listener:
         self._thread = threading.Thread(target=self._run, name="rosplc-listen", daemon=True)
 
     def start(self) -> None:
-        """Begin to accept."""
+        """Start to accept connections."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -148,7 +148,7 @@ class _Listener:
             self._open.discard(sock)
 
     def close(self) -> None:
-        """Stop listening, and end what is being served."""
+        """Stop listening, and close the connections."""
         self._closing = True
         for sock in (self._sock, *tuple(self._open)):
             with contextlib.suppress(OSError):
@@ -159,7 +159,7 @@ class _Listener:
 
 
 class Servers:
-    """Both servers of one node, running. Raises OSError: There is no such address here."""
+    """Both running servers of one node. Raises OSError if this machine does not have the address."""
 
     def __init__(self, address: Address, node: Any, clock: Clock = SYSTEM) -> None:
         self._node, self._clock = node, clock

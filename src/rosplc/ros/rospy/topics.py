@@ -1,8 +1,8 @@
-"""Topics: one connection for each publisher that is received, and for each subscriber.
+"""Topics: one connection per received publisher and per subscriber.
 
-All subscriptions of the node to one topic share the connections: a publisher knows a subscriber by
-its node's name and keeps one connection for each. Messages pass in C (``tcp.c``): two threads of a node serve
-all its connections, and what a sink takes needs neither.
+All subscriptions of the node to a topic share the connections: a publisher identifies a subscriber by its
+node name and keeps one connection per node. C code (``tcp.c``) transfers the messages: two threads of a
+node serve all its connections, and messages that a sink accepts need neither thread.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ANY_TYPE = handshake.Definition(handshake.ANY, handshake.ANY, "")
 
 
 def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
-    """Ask a node for a topic; return host and port. Raises UnreachableError, RefusedError: Not its topic."""
+    """Request a topic; return host and port. Raises UnreachableError; RefusedError: not the node's topic."""
     server = proxy(uri, handshake.TIMEOUT_S)
     try:
         answer = call(server, "requestTopic", caller, topic, [["TCPROS"]])
@@ -43,13 +43,13 @@ def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
         host, port = answer[1:]
         if isinstance(host, str) and isinstance(port, int) and 0 < port < 65536:
             return host, port
-    raise UnreachableError(f"its answer is not valid in ROS: {str(answer)[:200]}")
+    raise UnreachableError(f"invalid response: {str(answer)[:200]}")
 
 
 def greet(
     place: tuple[str, int], caller: str, topic: str, definition: handshake.Definition
 ) -> tuple[socket.socket, dict[str, str]]:
-    """Connect as a subscriber; return the connection and the header. Raises OSError, HandshakeError."""
+    """Connect as a subscriber; return the connection and header. Raises OSError, HandshakeError."""
     fields = {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()}
     return handshake.connect(place, fields)
 
@@ -83,7 +83,7 @@ class Connections:
         sock.close()
 
     def close(self) -> None:
-        """End the thread; the last that is called."""
+        """End the thread; this is the last call."""
         self._closing = True
         self.loop.wake()
         if threading.current_thread() is not self._thread:
@@ -92,7 +92,7 @@ class Connections:
 
 
 class Link:
-    """The connection to one publisher, and the thread that makes it."""
+    """The connection to one publisher, and the thread that establishes it."""
 
     def __init__(self, incoming: Incoming, uri: str, former: Link | None = None) -> None:
         self.uri = uri
@@ -108,7 +108,7 @@ class Link:
         self._thread = threading.Thread(target=self._run, name=f"rosplc-{incoming.topic}", daemon=True)
 
     def start(self) -> None:
-        """Begin to connect."""
+        """Start to connect."""
         try:
             self._thread.start()
         except RuntimeError:  # out of threads
@@ -124,18 +124,18 @@ class Link:
                 sock.shutdown(socket.SHUT_RDWR)
 
     def join(self) -> None:
-        """Wait a moment for the thread, unless this is it."""
+        """Wait briefly for the thread, unless called from it."""
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(1.0)
 
     def info(self) -> list[list[Any]]:
-        """Return what ``rosnode info`` prints of the connection, if it is there."""
+        """Return what ``rosnode info`` prints about the connection, if it exists."""
         if not self.connected or self._sock is None:
             return []
         return handshake.connection_info(self._sock, self.uri, "i", self._incoming.topic)
 
     def divert(self, capsule: object) -> None:
-        """Have what comes put into a sink, or delivered (None); ``linking`` is held."""
+        """Pass received messages to a sink, or deliver them (None); ``linking`` is held."""
         if self.connected and self._sock is not None:
             self._incoming.node.inbound.loop.divert(self._sock.fileno(), capsule)
 
@@ -145,7 +145,7 @@ class Link:
             self._incoming.deliver(messages)
 
     def end(self, why: str = "") -> None:
-        """Give the connection up, or take in that there is none; harmless twice."""
+        """Close the connection, or note that there is none; a second call does nothing."""
         incoming = self._incoming
         with incoming.linking:
             if self.ended:
@@ -208,7 +208,7 @@ class Link:
 
 
 class Incoming(handshake.Topic):
-    """One topic that the node receives."""
+    """A topic that the node receives."""
 
     direction, role = "in", "Subscriber"
 
@@ -220,18 +220,18 @@ class Incoming(handshake.Topic):
         self._links: dict[str, Link] = {}
 
     def add(self, handle: Any) -> None:
-        """Serve one more subscription."""
+        """Add a subscription."""
         super().add(handle)
         self.route()
 
     def remove(self, handle: Any) -> None:
-        """Serve it no longer."""
+        """Remove a subscription."""
         with self.node.turn:
             super().remove(handle)
         self.route()
 
     def route(self) -> None:
-        """Lead what comes into the sink of the only subscription, if that has one."""
+        """Pass received messages to the sink of the subscription, if there is only one and it has a sink."""
         with self.linking:
             sinks = [one.sink for one in self.handles]
             self.capsule = sinks[0].capsule if len(sinks) == 1 and sinks[0] is not None else None
@@ -239,28 +239,28 @@ class Incoming(handshake.Topic):
                 link.divert(self.capsule)
 
     def links(self) -> tuple[Link, ...]:
-        """Return the connections, made or being made."""
+        """Return the connections, including those that are being established."""
         with self.linking:
             return tuple(self._links.values())
 
     def matched(self) -> int:
-        """Return how many publishers are connected."""
+        """Return the number of connected publishers."""
         return sum(link.connected for link in self.links())
 
     def problems(self) -> list[Problem]:
-        """Return what keeps publishers from being received."""
+        """Return the problems that prevent publishers from being received."""
         named = set(self.publishers)
         links = [link for link in self.links() if not link.connected and link.uri in named]
         return [link.problem for link in links if link.problem is not None]
 
     def register(self, master: Master) -> None:
-        """Tell the master of the topic, and take in who publishes it."""
+        """Register the topic with the master, and note its publishers."""
         named = super().register(master)
         uris = named if isinstance(named, list) else []
         self.publishers = tuple(uri for uri in uris if isinstance(uri, str))
 
     def update(self) -> None:
-        """Connect to every publisher that the master names, and leave those that it no longer names."""
+        """Connect to every publisher that the master lists, and disconnect from others."""
         now = self.node.clock.monotonic_ns()
         named = dict.fromkeys(self.publishers)
         with self.linking:
@@ -280,7 +280,7 @@ class Incoming(handshake.Topic):
             link.start()
 
     def deliver(self, batch: list[bytes]) -> None:
-        """Hand messages to the subscriptions; called by one thread."""
+        """Deliver messages to the subscriptions; called by one thread."""
         stamp_ns = self.node.clock.time_ns()
         with self.node.turn:
             for subscription in self.handles:
@@ -291,7 +291,7 @@ class Incoming(handshake.Topic):
         return [row for link in self.links() for row in link.info()]
 
     def close(self) -> tuple[Link, ...]:
-        """Disconnect; return the connections, whose threads are about to end."""
+        """Disconnect; return the connections, whose threads end soon."""
         with self.linking:
             self._closed = True
             links = tuple(self._links.values())
@@ -302,7 +302,7 @@ class Incoming(handshake.Topic):
 
 
 class RospySubscription(BaseSubscription):
-    """A topic that is being received; see :class:`rosplc.ros.backend.Subscription`."""
+    """A subscription; see :class:`rosplc.ros.backend.Subscription`."""
 
     def __init__(self, on_message: OnMessage, shared: Incoming, qos: Qos) -> None:
         super().__init__(on_message, shared.node, shared.topic, shared.definition.type_name, qos)
@@ -312,13 +312,13 @@ class RospySubscription(BaseSubscription):
         return self.shared.matched()
 
     def divert(self, sink: Sink) -> bool:
-        """Give the sink what comes; see :data:`rosplc.ros.backend.Sink`."""
+        """Pass received messages to the sink; see :data:`rosplc.ros.backend.Sink`."""
         self.sink = sink
         self.shared.route()
         return True
 
     def receive(self, batch: list[bytes], stamp_ns: int) -> None:
-        """Take messages that arrived together, the newest ``depth``; the backend's turn is held."""
+        """Deliver the newest ``depth`` of messages that arrived together; the backend's turn is held."""
         self._dropped += max(0, len(batch) - self.qos.depth)
         for payload in batch[-self.qos.depth :]:
             if self.closed:
@@ -337,12 +337,12 @@ class Peer(NamedTuple):
     node: str
 
     def end(self, why: str = "") -> None:
-        """Give the connection up."""
+        """Close the connection."""
         self.outgoing.leave(self)
 
 
 class Outgoing(Topic):
-    """One topic that the node sends."""
+    """A topic that the node sends."""
 
     direction, role = "out", "Publisher"
 
@@ -359,15 +359,15 @@ class Outgoing(Topic):
         return any(publisher.qos.durability == "transient_local" for publisher in self.handles)
 
     def subscribers(self) -> frozenset[str]:
-        """Return the names of the nodes that are connected."""
+        """Return the names of the connected nodes."""
         return frozenset(peer.node for peer in self._peers)
 
     def matched(self) -> int:
-        """Return how many subscribers are connected."""
+        """Return the number of connected subscribers."""
         return len(self._peers)
 
     def accept(self, sock: socket.socket, header: dict[str, str]) -> str:
-        """Serve a subscriber that has connected; return why not, or an empty text."""
+        """Serve a connected subscriber; return the reason for a refusal, or an empty text."""
         node = header.get("callerid", "?")[:256]
         theirs, ours = handshake.peer_type(header), self.definition.identity
         wrong = handshake.mismatch(node, "subscribes to", self.topic, theirs, ours)
@@ -396,7 +396,7 @@ class Outgoing(Topic):
         return ""
 
     def leave(self, peer: Peer) -> None:
-        """Disconnect a subscriber; harmless twice."""
+        """Disconnect a subscriber; a second call does nothing."""
         with self._lock:
             left = tuple(one for one in self._peers if one is not peer)
             there = len(left) < len(self._peers)
@@ -411,7 +411,7 @@ class Outgoing(Topic):
         return [row for end in ends for row in handshake.connection_info(*end, "o", self.topic)]
 
     def close(self) -> tuple[Link, ...]:
-        """Disconnect, once everything has gone out or a moment has passed."""
+        """Disconnect, after everything has been sent or a moment has passed."""
         with self._lock:
             self._closed = True
         self.sender.close()
@@ -425,9 +425,9 @@ class Outgoing(Topic):
 
 
 class RospyPublisher(BasePublisher):
-    """A topic that is being sent; see :class:`rosplc.ros.backend.Publisher`.
+    """A publisher; see :class:`rosplc.ros.backend.Publisher`.
 
-    ROS 1 carries no source stamp, so ``stamp_ns`` goes no further than the bridge.
+    ROS 1 messages carry no source stamp, so ``stamp_ns`` is not sent.
     """
 
     def __init__(self, shared: Outgoing, qos: Qos) -> None:
@@ -440,18 +440,18 @@ class RospyPublisher(BasePublisher):
         return self.shared.matched()
 
     def open_sink(self, limit_ns: int) -> None:
-        """Let messages pass; see :data:`rosplc.ros.backend.Sink`."""
+        """Let messages pass directly; see :data:`rosplc.ros.backend.Sink`."""
         if not self.closed:
             self._outlet.open(limit_ns)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`.
 
-        False means that a subscriber's queue was full and its oldest message gave way to this one;
+        False means that a subscriber's queue was full and this message replaced its oldest one;
         the message then counts as dropped and not as sent.
-        The payload is not looked into: nothing of ROS 1's bytes shows whether they fit a type.
+        The payload is not checked: ROS 1 serialization does not show whether bytes fit a type.
 
-        Raises BackendError: ROS009 after close, ROS015 if the node was told to leave.
+        Raises BackendError: ROS009 after close, ROS015 if the node was asked to shut down.
         """
         if self.closed:
             raise self._closed()

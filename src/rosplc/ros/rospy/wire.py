@@ -1,8 +1,8 @@
-"""A topic's type and definition, asked of a publisher: for messages whose ``.msg`` files nobody has at hand.
+"""A topic's type and definition, requested from a publisher: for messages whose ``.msg`` files are missing.
 
 Every ROS 1 publisher sends its type's definition, with all types that it needs, in its connection
-header. It comes from another program and is not trusted: it is parsed within the limits that hold
-for every definition, its MD5 sum must be the one that the publisher states, and nothing of it is
+header. The definition comes from another program and is not trusted: it is parsed within the usual
+limits for definitions, its MD5 sum must match the one that the publisher states, and nothing in it is
 executed.
 """
 
@@ -28,7 +28,7 @@ _PAUSE_NS = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class WireDefinition:
-    """What a publisher says of its topic."""
+    """A publisher's description of its topic."""
 
     topic: str  # the topic's full name
     node: str  # the publisher's name
@@ -42,11 +42,11 @@ class WireDefinition:
 def definition_on_wire(
     topic: str, timeout_s: float = 5.0, *, environment: Mapping[str, str] | None = None, clock: Clock = SYSTEM
 ) -> WireDefinition:
-    """Ask a running publisher, waited for at most ``timeout_s``, for a topic's type and definition.
+    """Request a topic's type and definition from a running publisher, within ``timeout_s``.
 
-    Raises BackendError: ROS014 without a master, ROS017 if there is no publisher or what it says cannot be
-    true, ROS005 and ROS010 for a bad name or environment; MessageTypeError: TYP… if the definition has
-    mistakes, exceeds a limit, or differs from noetic's own of the same name.
+    Raises BackendError: ROS014 without a master, ROS017 if there is no publisher or its description is
+    inconsistent, ROS005 and ROS010 for an invalid name or environment; MessageTypeError: TYP… if the
+    definition has errors, exceeds a limit, or differs from noetic's definition of the same name.
     """
     full = resolve_topic(topic)
     address = read_address(os.environ if environment is None else environment)
@@ -97,9 +97,9 @@ def _checked(topic: str, node: str, header: Mapping[str, str]) -> WireDefinition
 def save_definition(definition: WireDefinition, folder: Path) -> tuple[Path, ...]:
     """Write ``package/msg/Name.msg`` for each type that noetic does not bundle; return the files.
 
-    A file that says the same already is left as it is.
+    A file that already has this content is not changed.
 
-    Raises MessageTypeError: TYP009 if a file of that name says something else, or cannot be written.
+    Raises MessageTypeError: TYP009 if a file with that name has other content, or cannot be written.
     """
     bundled = TypeStore.bundled("noetic")
     texts = split_definition(definition.type_name, definition.text)

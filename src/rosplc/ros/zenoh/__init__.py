@@ -1,4 +1,4 @@
-"""ROS 2 over Zenoh as ``rmw_zenoh_cpp`` speaks it, through the ``eclipse-zenoh`` wheel alone."""
+"""ROS 2 over Zenoh, compatible with ``rmw_zenoh_cpp``, with only the ``eclipse-zenoh`` wheel."""
 
 from rosplc.ros.zenoh.backend import ZenohBackend, open_backend
 

@@ -58,7 +58,7 @@ _DEFAULTS: tuple[tuple[str, object], ...] = (
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """What a session is opened with."""
+    """The configuration of a session."""
 
     config: Any
     mode: str  # ``peer`` or ``client`` (or ``router``, if a file has it)
@@ -66,14 +66,14 @@ class SessionConfig:
 
 
 def session_config(options: Mapping[str, object], environment: Mapping[str, str]) -> SessionConfig:
-    """Return a session's configuration; ROS013 for a bad option of ``ros.zenoh``, ROS010 for a variable.
+    """Return a session's configuration; ROS013 for an invalid option in ``ros.zenoh``, ROS010 for a variable.
 
-    What comes later wins: rmw_zenoh's defaults or a file in their place (``ros.zenoh.config``, else
+    Later items take precedence: rmw_zenoh's defaults or a file instead of them (``ros.zenoh.config``, else
     ``ZENOH_SESSION_CONFIG_URI``), then ``ros.zenoh``'s other keys, then ``ZENOH_CONFIG_OVERRIDE``.
     """
     for key in options:
         if key not in OPTIONS:
-            raise _bad(key, f"unknown key {key!r}; the keys are: {', '.join(OPTIONS)}")
+            raise _bad(key, f"unknown key {key!r}; use one of {', '.join(OPTIONS)}")
     config = _base(options, environment)
     if (mode := options.get("mode")) is not None:
         if mode not in _MODES:
@@ -105,7 +105,7 @@ def _bad(key: str, what: str) -> BackendError:
 
 
 def words(error: Exception) -> str:
-    """Return the library's words without the place in its sources."""
+    """Return the library's error text without the position in its sources."""
     return str(error).split(" at /")[0]
 
 
@@ -130,7 +130,7 @@ def _base(options: Mapping[str, object], environment: Mapping[str, str]) -> Any:
         with Path(path).open("rb") as file:
             size = len(file.read(LARGEST_FILE + 1))
         if size > LARGEST_FILE:
-            raise BackendError(code, f"{path} has more than {LARGEST_FILE} bytes", where=where)
+            raise BackendError(code, f"{path} is larger than {LARGEST_FILE} bytes", where=where)
         return zenoh.Config.from_file(str(path))
     except (OSError, ValueError) as error:
         what = getattr(error, "strerror", None) or str(error)
@@ -171,10 +171,10 @@ _PATIENCE_NS = 2_000_000_000  # a router on this machine or next to it answers s
 
 
 class Link:
-    """Opens the session, once, and looks whether a router is reached.
+    """Opens the session once, and monitors the connection to a router.
 
-    A peer's session opens at once, and the library connects in the background, again and again. A client's
-    opens only where a router answers; so that the bridge starts in any order, a thread tries until one does.
+    A peer's session opens immediately, and the library keeps trying to connect in the background. A client's
+    session opens only if a router answers; a thread tries until then, so the start order does not matter.
     """
 
     def __init__(self, config: SessionConfig, on_open: Callable[[Any], None], clock: Clock) -> None:
@@ -190,7 +190,7 @@ class Link:
         self.trouble = ""  # in words, why no other node can be reached; empty if some can
 
     def start(self) -> None:
-        """Open the session, or begin to try; ROS002 if the library refuses for more than an absent router."""
+        """Open the session, or start trying; ROS002 if it fails for another reason than a missing router."""
         if self._config.mode == "client":
             self._thread = threading.Thread(target=self._keep_trying, name="rosplc-zenoh-open", daemon=True)
             self._thread.start()
@@ -221,7 +221,7 @@ class Link:
         return self._session is not None
 
     def look(self) -> None:
-        """Find out whether another node is connected, and log when that changes."""
+        """Check whether a router or peer is connected, and log changes."""
         trouble = self._diagnose()
         if trouble and trouble != self.trouble:
             _logger.warning("%s [ROS016]%s", trouble, f" ({self._refusal})" if self._refusal else "")
@@ -248,7 +248,7 @@ class Link:
         return f"no Zenoh router answers at {where}"
 
     def close(self) -> None:
-        """Stop trying, close the session."""
+        """Stop trying, and close the session."""
         with self._lock:
             self._ended.set()
         if self._thread is not None and self._thread is not threading.current_thread():
@@ -289,7 +289,7 @@ class ZenohBackend(BaseNode):
         self._start(self._run, f"rosplc-zenoh-{self.domain}")
 
     def _connected(self, session: Any) -> None:
-        """Declare the node, listen for the others, declare the endpoints that have been asked for."""
+        """Declare the node, subscribe to the other nodes' tokens, and declare the requested endpoints."""
         with self._lock:
             if self._closed:
                 return
@@ -310,7 +310,7 @@ class ZenohBackend(BaseNode):
         return Entity(self.domain, self._session_id, "0", number, kind, *names, *details)
 
     def _see(self, sample: Any) -> None:
-        """Take in that a token has appeared or gone; called by threads of the library."""
+        """Note that a token has appeared or disappeared; called by threads of the library."""
         try:
             token = str(sample.key_expr)
             appeared = sample.kind == zenoh.SampleKind.PUT
@@ -375,7 +375,7 @@ class ZenohBackend(BaseNode):
     # -- what is wrong
 
     def others(self, ours: Entity) -> tuple[Entity, ...]:
-        """Return the endpoints that ours may exchange messages with."""
+        """Return the endpoints that may exchange messages with ours."""
         return self.tokens.on(ours.topic, OTHER[ours.kind])
 
     def _problems(self, ours: Entity) -> list[Problem]:
@@ -391,7 +391,7 @@ class ZenohBackend(BaseNode):
         return [f"node {one.full_name}" for one in servers if one.token != endpoint.entity.token]
 
     def graph(self) -> GraphInfo:
-        """Return what is seen of the other nodes."""
+        """Return the graph of the other nodes."""
         return self.tokens.graph(self._session_id)
 
     def _leave(self) -> None:

@@ -19,7 +19,7 @@ _MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, a
 
 
 class Endpoint(BaseEndpoint):
-    """What both directions have in common; the session's id is filled in by :meth:`declare`."""
+    """The common base of both directions; :meth:`declare` sets the session's id."""
 
     def __init__(self, node: Any, entity: Entity) -> None:
         assert entity.qos is not None
@@ -36,7 +36,7 @@ class Endpoint(BaseEndpoint):
         return self._peers() if self._connected() else 0
 
     def _connected(self) -> bool:
-        """Return whether messages take their way, and not the tokens alone."""
+        """Return whether messages are transferred, and not only tokens."""
         return True
 
     def _problem(self) -> Problem:
@@ -46,7 +46,7 @@ class Endpoint(BaseEndpoint):
         return code, reason
 
     def declare(self, session: Any, entity: Entity) -> None:
-        """Make the endpoint known, first to Zenoh and then to ROS: who sees its token can reach it."""
+        """Declare the endpoint first to Zenoh, then to ROS: a node that sees its token can reach it."""
         # Not under the lock: the library calls back from other threads while it declares, and waits.
         self.entity = entity
         declared = self._declare(session)
@@ -61,7 +61,7 @@ class Endpoint(BaseEndpoint):
         raise NotImplementedError
 
     def close(self) -> None:
-        """Withdraw the declarations; closing twice is harmless."""
+        """Withdraw the declarations; a second call does nothing."""
         super().close()
         with self._lock:
             declared, self._declared = self._declared, []
@@ -76,17 +76,17 @@ class Endpoint(BaseEndpoint):
 
 
 def read(payload: Any, attachment: Any) -> tuple[bytes, Attachment]:
-    """Return payload and attachment; ValueError if no ROS 2 node would send them."""
+    """Return payload and attachment; ValueError if they are not from a ROS 2 node."""
     if payload is None or attachment is None:
-        raise ValueError("it has no attachment, unlike every ROS message")
+        raise ValueError("no attachment, which every ROS message has")
     data: bytes = payload.to_bytes()
     if not is_cdr(data):
-        raise ValueError("it has no plain CDR header")
+        raise ValueError("no plain CDR header")
     return data, unpack(attachment.to_bytes())
 
 
 class Sender(Endpoint):
-    """An endpoint that the library sends from; ``_route`` knows whether somebody receives."""
+    """A sending endpoint; ``_route`` shows whether there are receivers."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -109,9 +109,9 @@ class Sender(Endpoint):
 
 
 class ZenohSubscription(QueuedSubscription, Endpoint):
-    """A topic being received; see :class:`rosplc.ros.backend.Subscription`.
+    """A subscription; see :class:`rosplc.ros.backend.Subscription`.
 
-    Threads of the library fill a queue of ``depth``, the oldest give way; the receive thread empties it.
+    Threads of the library fill a queue of ``depth``, dropping the oldest; the receive thread empties it.
     """
 
     def __init__(self, on_message: OnMessage, node: Any, entity: Entity) -> None:
@@ -133,7 +133,7 @@ class ZenohSubscription(QueuedSubscription, Endpoint):
         ]
 
     def arrived(self, sample: Any) -> None:
-        """Queue a message; called by threads of the library, so nothing may escape."""
+        """Queue a message; called by threads of the library, so no exception may escape."""
         try:
             put = sample.kind == zenoh.SampleKind.PUT
             payload, (sequence, stamp_ns, gid) = read(sample.payload if put else None, sample.attachment)
@@ -149,7 +149,7 @@ class ZenohSubscription(QueuedSubscription, Endpoint):
         self._node.wake(self)
 
     def _count_missing(self, gid: bytes, sequence: int) -> None:
-        """Count what a publisher sent and did not arrive; the sender drops it where a link is full."""
+        """Count messages of a publisher that did not arrive; a sender drops messages if a link is full."""
         last = self._sequences.pop(gid, sequence)
         step = sequence - last
         if abs(step) > _MOST_LOST:
@@ -162,10 +162,10 @@ class ZenohSubscription(QueuedSubscription, Endpoint):
 
 
 class ZenohPublisher(BasePublisher, Sender):
-    """A topic being sent; see :class:`rosplc.ros.backend.Publisher`.
+    """A publisher; see :class:`rosplc.ros.backend.Publisher`.
 
-    Zenoh drops a message for a peer whose link is full without a report: what ``dropped`` counts
-    here is only what the library refused. The receiving side sees the gap in the numbers.
+    If a peer's link is full, Zenoh drops messages without a report: ``dropped`` counts only
+    messages that the library refused. The receiver detects the gap in the numbers.
     """
 
     def __init__(self, node: Any, entity: Entity) -> None:

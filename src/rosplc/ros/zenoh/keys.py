@@ -1,12 +1,12 @@
-"""What ``rmw_zenoh_cpp`` writes into keys, liveliness tokens, attachments: design.md, liveliness_utils.
+"""The keys, liveliness tokens and attachments of ``rmw_zenoh_cpp``: design.md, liveliness_utils.
 
-A token is a key: ``@ros2_lv/domain/session/node/entity/kind/enclave/namespace/name``, and for an endpoint
-``/topic/type/hash/qos`` behind it. Zenoh reports to all when one appears, and when its session is gone. What
-others write is not trusted: a token that ROS could not have written is refused here.
+A token is a key: ``@ros2_lv/domain/session/node/entity/kind/enclave/namespace/name``, followed for an
+endpoint by ``/topic/type/hash/qos``. Zenoh reports to all nodes when a token appears, and when its session
+is gone. Other nodes' tokens are not trusted: a token that ROS could not have written is refused here.
 
 Quality of service is ``reliability:durability:history,depth:deadline:lifespan:liveliness``, where the last
 three are ``seconds,nanoseconds`` (liveliness: ``kind,seconds,nanoseconds``). Numbers are those of
-``rmw/types.h``; rmw_zenoh's defaults are left empty. Early releases wrote the first three parts only, with
+``rmw/types.h``; rmw_zenoh's defaults are left empty. Early releases wrote only the first three parts, with
 every number.
 
 An attachment has 33 bytes in Zenoh's serialization format: ``int64`` sequence, ``int64`` nanoseconds since
@@ -45,7 +45,7 @@ _NODE_PARTS, _ENDPOINT_PARTS = 9, 13  # later releases may append more
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """Return the key that a topic's messages are put on, or that a service's requests are sent to."""
+    """Return the key for a topic's messages or a service's requests."""
     return f"{domain}/{topic.strip('/')}/{names.dds_type_name(type_name)}/{type_hash}"
 
 
@@ -60,7 +60,7 @@ _UNBOUNDED = ":,:,:,,"  # no deadline, no lifespan, automatic liveliness without
 
 
 def encode_qos(qos: Qos) -> str:
-    """Return the settings as a token carries them."""
+    """Return the settings in the form used in a token."""
     reliability = "" if qos.reliability == "reliable" else _BEST_EFFORT
     durability = "" if qos.durability == "volatile" else _TRANSIENT_LOCAL
     depth = "" if qos.depth == _DEPTH else qos.depth
@@ -68,13 +68,13 @@ def encode_qos(qos: Qos) -> str:
 
 
 def decode_qos(text: str) -> Qos:
-    """Read the settings of a token, of the short form or the long one; ValueError if it is neither."""
+    """Read the settings of a token, in the short or long form; ValueError if it is neither."""
     parts = text.split(":")
     if len(parts) < 3:
         raise ValueError("the QoS has fewer than three parts")
     history, comma, depth = parts[2].partition(",")
     if not comma or not {parts[0], parts[1], history} <= _KINDS:
-        raise ValueError("the QoS has values that ROS does not know")
+        raise ValueError("the QoS has values that ROS does not define")
     numbers = [depth, *(number for part in parts[3:6] for number in part.split(","))]
     if not all(number == "" or (number.isascii() and number.isdigit()) for number in numbers):
         raise ValueError("the QoS has parts that are not numbers")
@@ -90,7 +90,7 @@ _FORMAT = struct.Struct(f"<qqB{_GID_SIZE}s")
 
 
 class Attachment(NamedTuple):
-    """One message's attachment: its number, from 1; when it was sent (ns since 1970); the publisher's id."""
+    """A message's attachment: its number, from 1; the time of sending (ns since 1970); the publisher's id."""
 
     sequence: int
     stamp_ns: int
@@ -103,7 +103,7 @@ def pack(sequence: int, stamp_ns: int, gid: bytes) -> bytes:
 
 
 def unpack(data: bytes) -> Attachment:
-    """Read an attachment; ValueError if it is none, or its numbers make no sense."""
+    """Read an attachment; ValueError if it is invalid."""
     if len(data) < _FORMAT.size:
         raise ValueError(f"the attachment has {len(data)} bytes, not {_FORMAT.size}")
     sequence, stamp_ns, size, gid = _FORMAT.unpack_from(data)
@@ -119,7 +119,7 @@ def unpack(data: bytes) -> Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """What one token announces."""
+    """The content of a token."""
 
     domain: int
     session: str
@@ -140,14 +140,14 @@ class Entity:
 
     @property
     def info(self) -> EndpointInfo:
-        """The endpoint, with the type hash as it is."""
+        """The endpoint, with an unchanged type hash."""
         direction: Literal["in", "out"] = "out" if self.kind in ("MP", "SC") else "in"
         qos = self.qos or Qos()
         return EndpointInfo(self.topic, self.type_name, direction, self.full_name, qos, self.type_hash)
 
     @property
     def token(self) -> str:
-        """The key of its token, as ``rmw_zenoh_cpp`` writes it."""
+        """The key of the token, as ``rmw_zenoh_cpp`` writes it."""
         parts = [SPACE, str(self.domain), self.session, self.node_id, self.entity_id, self.kind]
         parts += ["%", self.namespace.replace("/", "%"), self.node]  # % for /: no ROS name has one
         if self.qos is not None:
@@ -162,12 +162,12 @@ def gid_of(token: str) -> bytes:
 
 
 def parse_token(token: str) -> Entity:
-    """Read a token; ValueError if it is not what a ROS node announces."""
+    """Read a token; ValueError if it is not from a ROS node."""
     if len(token) > LONGEST_TOKEN:
         raise ValueError(f"it has {len(token)} characters; the limit is {LONGEST_TOKEN}")
     parts = [part.replace("%", "/") for part in token.split("/")]
     if len(parts) < _NODE_PARTS or parts[0] != SPACE:
-        raise ValueError(f"it has {len(parts)} parts")
+        raise ValueError(f"wrong prefix or number of parts ({len(parts)})")
     domain, session, node_id, entity_id, kind, _enclave, namespace, node = parts[1:_NODE_PARTS]
     if not domain.isascii() or not domain.isdigit() or len(domain) > 10:
         raise ValueError("its domain is not a number")
@@ -197,7 +197,7 @@ def parse_token(token: str) -> Entity:
 
 
 class TokenTable:
-    """Every token that is alive; updated by threads of the library, read by any."""
+    """All live tokens; updated by threads of the library, read by any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -206,7 +206,7 @@ class TokenTable:
         self.malformed = 0  # tokens that were refused, those beyond :data:`MOST_TOKENS` too
 
     def appeared(self, token: str) -> str | None:
-        """Take in a token; return the topic concerned, if any."""
+        """Add a token; return the topic concerned, if any."""
         try:
             entity = parse_token(token)
         except ValueError as error:
@@ -226,7 +226,7 @@ class TokenTable:
         return entity.topic or None
 
     def gone(self, token: str) -> str | None:
-        """Drop a token; return the topic concerned, if any."""
+        """Remove a token; return the topic concerned, if any."""
         with self._lock:
             entity = self._entities.pop(token, None)
             if entity is None or entity.kind == "NN":
@@ -238,23 +238,23 @@ class TokenTable:
             return entity.topic
 
     def on(self, topic: str, kind: Kind) -> tuple[Entity, ...]:
-        """Return the endpoints of one kind on a topic or service, our own among them."""
+        """Return the endpoints of one kind on a topic or service, including our own."""
         with self._lock:
             return tuple(self._by_topic.get((topic, kind), {}).values())
 
     def gids(self, topic: str, kind: Kind) -> set[bytes]:
-        """Return the ids of these endpoints, as their tokens give them."""
+        """Return the ids of these endpoints, derived from their tokens."""
         with self._lock:
             return set(map(gid_of, self._by_topic.get((topic, kind), {})))
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all tokens."""
         with self._lock:
             self._entities.clear()
             self._by_topic.clear()
 
     def graph(self, own: str) -> GraphInfo:
-        """Return the graph without the entities of one session, our own."""
+        """Return the graph without the entities of our own session."""
         with self._lock:
             others = [entity for entity in self._entities.values() if entity.session != own]
 
@@ -267,7 +267,7 @@ class TokenTable:
 
 
 def explain(ours: Entity, theirs: Entity) -> _base.Problem | None:
-    """Return what is wrong or doubtful between two endpoints on one topic; None if all is well."""
+    """Return a problem or doubt between two endpoints on one topic; None if there is none."""
     # Reliability and durability keep no endpoints apart, as with ``rmw_zenoh_cpp``; but a subscriber may be
     # promised less than it asks for: the code is empty then.
     problem = _base.explain(theirs.info, ours.info)

@@ -1,7 +1,7 @@
 """Services on Zenoh, as ``rmw_zenoh_cpp`` maps them: a server is a queryable, a call is a query.
 
-A query has the attachment that a topic's messages have, and the reply repeats its number and id. A query
-lives in the server's process: when that ends, Zenoh ends the query, and nobody else can answer it.
+A query has the same attachment as a topic's message, and the reply repeats its number and id. A query exists
+in the server's process: when that ends, Zenoh ends the query, and no other process can answer it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TIMEOUT, _TIMEOUT_OF_RESULT = 600.0, 315_360_000.0
 
 @dataclass(slots=True)
 class _Origin:
-    """A query that waits for its reply."""
+    """A query that is waiting for its reply."""
 
     query: Any
     attachment: Attachment
@@ -41,7 +41,7 @@ class ZenohServer(Queued, KeepingServer, Endpoint):
         return [session.declare_queryable(self._key, receive, complete=True)]
 
     def arrived(self, query: Any) -> None:
-        """Queue a request; called by threads of the library, so nothing may escape."""
+        """Queue a request; called by threads of the library, so no exception may escape."""
         try:
             payload, attachment = read(query.payload, query.attachment)
             origin = _Origin(query, attachment)
@@ -104,7 +104,7 @@ class ZenohClient(Queued, BaseClient, Sender):
         return None
 
     def arrived(self, number: int, errors: list[str], reply: Any) -> None:
-        """Queue a response; called by threads of the library, so nothing may escape."""
+        """Queue a response; called by threads of the library, so no exception may escape."""
         try:
             if reply.err is not None:
                 errors.append(reply.err.payload.to_bytes()[:300].decode(errors="replace"))
@@ -116,10 +116,10 @@ class ZenohClient(Queued, BaseClient, Sender):
         if (attachment.sequence, attachment.gid) == (number, self._gid):
             self._end_soon(number, Reply(payload))
         else:
-            self.reject("it does not repeat the number and id of the request")
+            self.reject("the number and ID are not those of the request")
 
     def finished(self, number: int, errors: list[str]) -> None:
-        """Take in that no more responses come; called by threads of the library."""
+        """Note that there are no more responses; called by threads of the library."""
         if not errors:
             self._end_soon(number, SERVER_GONE)
             return

@@ -1,4 +1,4 @@
-// The page: which view is open, what the server is to send for it, and how the line to the server is.
+// The page: the open view, the data requested for it, and the state of the connection to the server.
 
 import { channelList } from "./channels.js";
 import { connect, reconnect, want } from "./connection.js";
@@ -141,7 +141,7 @@ function refused(error) {
     reconnect();
   } },
   el("h1", {}, "A token is needed"),
-  // That one is needed the heading says already; what is wrong with one that was given it does not.
+  // The heading already shows that a token is needed, but not why a given token was refused.
   el("p", {}, token() ? `${error.what}. ${error.remedy}` : error.remedy),
   el("div", { class: "form-row" }, el("label", { for: "view-token" }, "Token"), field, el("button", { class: "button primary", type: "submit" }, "Open")));
   view?.close();

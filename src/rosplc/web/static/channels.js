@@ -13,10 +13,10 @@ const TONES = [
   ["good", "OK"],
 ];
 
-/** Where a channel's details are. */
+/** The address of a channel's details. */
 export const linkTo = (id) => `#/channels/${encodeURIComponent(id)}`;
 
-/** Make the list; `selected()` tells which channel is open. */
+/** Make the list; `selected()` returns the open channel. */
 export function channelList(selected) {
   const filter = { text: "", tone: null, worstFirst: false };
   const rows = new Map();
@@ -158,7 +158,7 @@ export function channelList(selected) {
     let last = table.tHead;
     for (const [group, members] of order) {
       showGroup(group, members.length);
-      // Moved only where it stands elsewhere: a row that moves loses the keyboard's focus.
+      // Moved only if its position differs: a row that moves loses the keyboard focus.
       if (last.nextSibling !== group.body) last.after(group.body);
       last = group.body;
       let at = group.body.firstChild;

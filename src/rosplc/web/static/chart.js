@@ -1,4 +1,4 @@
-// One plot on a canvas: grid, axes, curves that break where nothing came.
+// One plot on a canvas: grid, axes, and curves with gaps where no data arrived.
 
 import { el, setAttribute } from "./dom.js";
 import { clock, number } from "./format.js";
@@ -7,10 +7,10 @@ const LEFT = 64;
 const RIGHT = 12;
 const TOP = 10;
 const BOTTOM = 24;
-const GAP_MS = 1500; // or a few times the usual distance, where that is longer
+const GAP_MS = 1500; // or a few times the usual interval, if that is longer
 const DASHES = [[], [7, 4], [2, 3], [10, 3, 2, 3]];
 
-/** Make a plot of so many curves; `draw(data, start, end)` paints times in ms since 1970. */
+/** Make a plot of several curves; `draw(data, start, end)` paints times in ms since 1970. */
 export function chart(series) {
   const canvas = el("canvas", { class: "chart", role: "img" });
   const root = el("div", { class: "chart-box" }, canvas);
@@ -122,7 +122,7 @@ function curve(context, data, x, y, index, curves, colour) {
   context.strokeStyle = colour(`--series-${index % 8}`);
   context.lineWidth = 2;
   context.lineJoin = "round";
-  // In one plot with others a curve is told apart by its dashes too.
+  // In a plot with several curves, dashes also distinguish them.
   context.setLineDash(curves > 1 ? DASHES[Math.floor(index) % DASHES.length] : []);
   context.beginPath();
   const gap = gapOf(data.times);

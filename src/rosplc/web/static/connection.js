@@ -1,11 +1,11 @@
-// The WebSocket: says what the page wants, takes what comes, and comes back when the server does.
+// The WebSocket: sends the page's requests, receives data, and reconnects when the server is back.
 
 import { store } from "./store.js";
 import { token } from "./token.js";
 
 const FIRST_PAUSE_MS = 500;
 const LONGEST_PAUSE_MS = 5000;
-const SILENCE_MS = 8000; // a picture comes twice a second: without any for so long, the line is dead
+const SILENCE_MS = 8000; // pictures arrive twice per second: after this time without one, the connection is dead
 
 let socket = null;
 let pauseMs = FIRST_PAUSE_MS;
@@ -13,7 +13,7 @@ let timer = 0;
 let wants = { messages: [], plots: {} };
 let lastFrame = 0;
 
-/** Connect, now and whenever the line breaks. */
+/** Connect now, and again whenever the connection is lost. */
 export function connect() {
   clearTimeout(timer);
   if (socket) return;
@@ -32,7 +32,7 @@ export function connect() {
   });
 }
 
-/** Tell the server what is looked at now. */
+/** Tell the server what the page shows now. */
 export function want(messages, plots) {
   const next = { messages, plots };
   if (JSON.stringify(next) === JSON.stringify(wants)) return;
@@ -65,7 +65,7 @@ function take(frame) {
 
 function lost() {
   socket = null;
-  if (store.link === "locked") return; // without a token there is no use in asking again
+  if (store.link === "locked") return; // without a token, another attempt is useless
   store.setLink("lost");
   timer = setTimeout(connect, pauseMs);
   pauseMs = Math.min(LONGEST_PAUSE_MS, pauseMs * 1.6);
@@ -79,7 +79,7 @@ setInterval(() => {
   }
 }, 1000);
 
-// A tablet that wakes up, or a network that is back, is no reason to wait for the next attempt.
+// When a tablet wakes up or the network is back, reconnect without waiting for the next attempt.
 for (const [target, kind] of [[window, "online"], [document, "visibilitychange"]]) {
   target.addEventListener(kind, () => {
     if (!socket && !document.hidden) connect();

@@ -1,4 +1,4 @@
-// One channel: how it stands, who is on its way, its message, and the form of a test message.
+// One channel: its state, the stations on its path, its message, and the form for a test message.
 
 import { el, fill, setAttribute, setText } from "./dom.js";
 import { eventList } from "./events.js";
@@ -142,7 +142,7 @@ export function channelDetail(id, plots) {
     }
     if (body.firstChild !== tree.root) fill(body, tree.root);
     tree.update(message.values);
-    const parts = [`Number ${count(message.sequence)}`];
+    const parts = [`Message number ${count(message.sequence)}`];
     if (message.stamp_ms && message.clock !== "plc") parts.push(`stamped ${clock(message.stamp_ms, true)}`);
     parts.push(...message.marks);
     setText(about, parts.join(" · "));

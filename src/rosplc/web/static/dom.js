@@ -22,7 +22,7 @@ export function svg(tag, attributes = {}, ...children) {
   return made;
 }
 
-/** Set a text only if it differs, so that nothing is laid out again for nothing. */
+/** Set a text only if it differs, to avoid an unnecessary layout. */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
@@ -43,7 +43,7 @@ export function fill(element, ...children) {
 
 const announcer = () => document.getElementById("announcer");
 
-/** Say something to those who hear the page. */
+/** Announce a text to screen readers. */
 export function announce(text) {
   announcer().textContent = text;
 }

@@ -1,4 +1,4 @@
-// What happened: a list, newest first, and a sentence for those who hear the page.
+// The events: a list, newest first, and an announcement for screen readers.
 
 import { announce, el, setAttribute } from "./dom.js";
 import { linkTo } from "./channels.js";
@@ -22,7 +22,7 @@ export function eventList(fits, { limit = 300, topic = true, empty = "No events 
 
   return {
     root,
-    /** Show what is new; with `again`, everything from the beginning. */
+    /** Show new events; with `again`, all events from the beginning. */
     update(again = false) {
       const all = store.events;
       if (again || (all.length && all[all.length - 1].number < newest)) {
@@ -70,7 +70,7 @@ export function eventsView() {
     onclick: () => { grave = !grave; setAttribute(only, "aria-pressed", grave); list.update(true); },
   }, "Problems only");
   const root = el("section", { class: "panel whole", "aria-labelledby": "events-title" },
-    el("div", { class: "panel-head" }, el("h1", { id: "events-title" }, "Events"), el("p", { class: "words" }, "Newest first, since the server started."), el("div", { class: "tools" }, search, only)),
+    el("div", { class: "panel-head" }, el("h1", { id: "events-title" }, "Events"), el("p", { class: "words" }, "Since the server started, newest first."), el("div", { class: "tools" }, search, only)),
     el("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "List of events" }, list.root));
   store.on("events", () => list.update(), stop.signal);
   store.on("hello", () => list.update(true), stop.signal);
@@ -81,7 +81,7 @@ export function eventsView() {
 let waiting = [];
 let timer = 0;
 
-/** Say grave events aloud, several at once in one sentence and not more often than every few seconds. */
+/** Announce serious events, several in one sentence, at most once every few seconds. */
 export function announceEvents(events) {
   waiting.push(...events.filter((event) => event.level === "ERROR" || event.kind === "stale" || event.kind === "recovered"));
   if (!waiting.length || timer) return;

@@ -1,4 +1,4 @@
-// How numbers, times and directions read.
+// The display formats of numbers, times and directions.
 
 const WHOLE = new Intl.NumberFormat("en");
 const DASH = "–";
@@ -18,12 +18,12 @@ export function rate(hz) {
 
 const LOOK_NS = 5e8;
 
-/** How long ago a message came, in nanoseconds; it is known as exactly as the server looks. */
+/** The time since a message arrived, in nanoseconds, as precise as the server's looks. */
 export function age(ns) {
   return ns !== null && ns !== undefined && ns < LOOK_NS ? "< 0.5 s" : span(ns);
 }
 
-/** A type as it is spoken of: without the folder that all have. */
+/** A type's short name, without the folder that all types have. */
 export function typeName(name) {
   return name.replace("/msg/", "/");
 }
@@ -41,14 +41,14 @@ export function span(ns) {
 
 const pad = (number, digits = 2) => String(number).padStart(digits, "0");
 
-/** The local time of day, of ms since 1970. */
+/** The local time of day for a time in ms since 1970. */
 export function clock(ms, fraction = false) {
   const time = new Date(ms);
   const text = `${pad(time.getHours())}:${pad(time.getMinutes())}:${pad(time.getSeconds())}`;
   return fraction ? `${text}.${pad(time.getMilliseconds(), 3)}` : text;
 }
 
-/** The local date, of ms since 1970. */
+/** The local date for a time in ms since 1970. */
 export function date(ms) {
   const time = new Date(ms);
   return `${time.getFullYear()}-${pad(time.getMonth() + 1)}-${pad(time.getDate())}`;
@@ -61,14 +61,14 @@ export function bytes(value) {
   return `${(value / 1048576).toFixed(1)} MiB`;
 }
 
-/** Which way a channel goes. */
+/** The direction of a channel. */
 export function way(direction) {
   if (direction === "to_plc") return "ROS → PLC";
   if (direction === "to_ros") return "PLC → ROS";
   return DASH;
 }
 
-/** A value of a message, as a row shows it. */
+/** A message's value as shown in a row. */
 export function value(item, type = "") {
   if (item === null || item === undefined) return DASH;
   if (typeof item === "number") return number(item, type);
@@ -76,7 +76,7 @@ export function value(item, type = "") {
   return String(item);
 }
 
-/** A number: whole ones in full, others with six digits that count. */
+/** A number: integers in full, others with six significant digits. */
 export function number(item, type = "") {
   if (Number.isInteger(item) && (!type.startsWith("float") || Math.abs(item) < 1e6)) {
     return type.startsWith("float") ? item.toFixed(1) : String(item);

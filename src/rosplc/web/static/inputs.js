@@ -1,4 +1,4 @@
-// The inputs of a test message: made from the type, checked against its limits before anything is sent.
+// The inputs for a test message: made from the type, and checked against its limits before sending.
 
 import { el, fill, setText } from "./dom.js";
 
@@ -15,7 +15,7 @@ function wrong(form, text) {
   if (form.kind === "string") {
     const size = encoder.encode(text).length;
     if (size > form.capacity) return `${size} bytes; at most ${form.capacity} fit`;
-    return text.includes("\0") ? "a NUL cannot be part of a string" : null;
+    return text.includes("\0") ? "a string cannot contain a NUL character" : null;
   }
   const trimmed = text.trim();
   if (form.kind === "float") {
@@ -27,7 +27,7 @@ function wrong(form, text) {
   return value < BigInt(form.low) || value > BigInt(form.high) ? `must be from ${form.low} to ${form.high}` : null;
 }
 
-/** Whether a message has a NaN or an infinity, which have to be meant. */
+/** Whether a message has a NaN or infinity, which must be intended. */
 export function isFinite(form, value) {
   if (form.kind === "struct") return form.members.every((member) => isFinite(member, value[member.name]));
   if (form.kind === "list") return value.every((item) => isFinite(form.element, item));
@@ -66,7 +66,7 @@ function structInput(form, label, path) {
   };
 }
 
-/** The line of one value, with the place for what is wrong with it. */
+/** The line for one value, with a place for its error. */
 function line(control, label, path, hint, check) {
   numbers += 1;
   const id = `field-${numbers}`;
@@ -101,7 +101,7 @@ function textInput(form, label, path) {
   if (numeric) control.classList.add("numeric");
   return {
     ...line(control, label, path, hint, () => wrong(form, control.value)),
-    // As text: not every number of a PLC is one that JavaScript can hold.
+    // As text: JavaScript cannot represent every number of a PLC.
     get: () => (numeric ? control.value.trim() : control.value),
     set: (value) => { control.value = String(value); },
   };
@@ -116,7 +116,7 @@ function boolInput(label, path) {
   };
 }
 
-/** Many numbers, in one text. */
+/** An input for many numbers in one text. */
 function textList(form, label, path) {
   const control = el("textarea", { class: "input numeric", rows: "3", spellcheck: "false" });
   const items = () => control.value.split(/[\s,;]+/).filter(Boolean);
@@ -138,7 +138,7 @@ function textList(form, label, path) {
   };
 }
 
-/** Few elements, or elements that are more than a number: each with inputs of its own. */
+/** Inputs for a few elements, or for elements other than numbers: each has its own inputs. */
 function listInput(form, label, path) {
   let items = [];
   const place = el("div", { class: "form-items" });

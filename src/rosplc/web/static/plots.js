@@ -1,4 +1,4 @@
-// Plots over time: which fields, how wide a window, and whether time is paused.
+// Plots over time: the fields, the time window, and the pause.
 
 import { announce, el, fill, setAttribute, setText } from "./dom.js";
 import { linkTo } from "./channels.js";
@@ -20,7 +20,7 @@ export class Plots {
       const kept = JSON.parse(localStorage.getItem(KEY) ?? "[]");
       this.fields = kept.filter((each) => typeof each?.id === "string" && typeof each.path === "string").slice(0, MOST);
     } catch {
-      // Nothing kept, or nothing that can be read.
+      // Nothing is stored, or it cannot be read.
     }
   }
 
@@ -49,12 +49,12 @@ export class Plots {
     try {
       localStorage.setItem(KEY, JSON.stringify(this.fields));
     } catch {
-      // Then they are chosen again next time.
+      // Without storage, the fields must be chosen again next time.
     }
     store.say("plots");
   }
 
-  /** Per channel the paths, as the server wants to know them. */
+  /** The paths per channel, in the form for the server. */
   wanted() {
     const paths = {};
     for (const { id, path } of this.fields) (paths[id] ??= []).push(path);
@@ -154,7 +154,7 @@ export function plotsView(plots) {
   return { root, close: () => { stop.abort(); for (const lane of lanes) lane.chart.close(); } };
 }
 
-/** The part of a field's samples within a window, and what they amount to. */
+/** The part of a field's samples within a window, and its range. */
 function dataOf(field, start, end) {
   const series = store.series.get(field.id);
   const values = series?.values.get(field.path);

@@ -1,4 +1,4 @@
-// A list of numbers as a small curve in its row: a scan or a set of joints at a glance.
+// A list of numbers as a small curve in its row, such as a scan or a set of joints.
 
 import { el, svg } from "./dom.js";
 

@@ -1,4 +1,4 @@
-// A little curve of a rate over the last minutes.
+// A small curve of a rate over the last minutes.
 
 import { setAttribute, svg } from "./dom.js";
 import { rate } from "./format.js";

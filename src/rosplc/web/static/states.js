@@ -1,4 +1,4 @@
-// The words for how a channel stands, each with a tone (its colour) and a shape: colour never stands alone.
+// The words for channel states, each with a tone (its colour) and a shape: colour is never the only sign.
 
 import { el, svg } from "./dom.js";
 

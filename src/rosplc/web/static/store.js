@@ -1,4 +1,4 @@
-// What the page knows; views listen to the parts that they show.
+// The page's data; views subscribe to the parts that they show.
 
 const EVENTS = 500;
 const SAMPLES = 12000; // ten minutes at twenty samples a second
@@ -40,7 +40,7 @@ class Store extends EventTarget {
     this.events = []; // oldest first
     this.messages = new Map();
     this.series = new Map();
-    this.rates = new Map(); // the last minutes of each channel's rate, for its little curve
+    this.rates = new Map(); // the last minutes of each channel's rate, for its small curve
     this.hello = null;
     this.link = "connecting";
     this.failure = "";
@@ -62,7 +62,7 @@ class Store extends EventTarget {
     this.say("link");
   }
 
-  /** Forget what a server before this one said; it counts from zero. */
+  /** Forget the data of an earlier server: a new server counts from zero. */
   begin(hello) {
     this.hello = hello;
     this.channels.clear();

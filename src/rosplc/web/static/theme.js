@@ -1,4 +1,4 @@
-// Light, dark, or as the system has it.
+// The theme: light, dark, or the system's setting.
 
 import { announce, fill, svg } from "./dom.js";
 
@@ -11,7 +11,7 @@ let chosen = "system";
 try {
   chosen = localStorage.getItem(KEY) ?? "system";
 } catch {
-  // Without storage it is chosen again each time.
+  // Without storage, it must be chosen again each time.
 }
 if (!ORDER.includes(chosen)) chosen = "system";
 

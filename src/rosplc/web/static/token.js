@@ -1,8 +1,8 @@
-// The token: it comes in the address after #, or is typed; it stays in this tab.
+// The token: taken from the address after #, or typed; it stays in this tab.
 
 const KEY = "rosplc.token";
 
-/** Take the token out of the address, so that it is in no bookmark and no screenshot. */
+/** Remove the token from the address, so that no bookmark or screenshot contains it. */
 export function takeFromAddress() {
   const found = /^#token=([!-~]+)$/.exec(location.hash);
   if (!found) return;
@@ -27,11 +27,11 @@ export function keep(text) {
   try {
     sessionStorage.setItem(KEY, text);
   } catch {
-    // A browser may forbid it; then it is kept until the page is left.
+    // The browser may forbid storage; then the token is kept until the page is closed.
   }
 }
 
-/** Ask the server, with the token if there is one; returns its JSON, or throws its error. */
+/** Send a request to the server, with the token if there is one; returns its JSON, or throws its error. */
 export async function ask(path, body = null) {
   const headers = {};
   if (token()) headers.Authorization = `Bearer ${token()}`;
@@ -51,7 +51,7 @@ export async function ask(path, body = null) {
   try {
     answer = await response.json();
   } catch {
-    // An answer that is no JSON is an error without words.
+    // A response that is not JSON is an error without a text.
   }
   if (!response.ok) {
     throw answer.error ?? { code: "", what: `the server returned status ${response.status}`, where: "", remedy: "" };

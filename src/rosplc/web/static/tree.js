@@ -1,4 +1,4 @@
-// A message as a tree: built once from the type, then only texts change, so focus and reading place stay.
+// A message as a tree: built once from the type; then only texts change, so focus and position stay.
 
 import { announce, el, setAttribute, setText } from "./dom.js";
 import { typeName, value as text } from "./format.js";
@@ -6,10 +6,10 @@ import { profile } from "./profile.js";
 
 const FIRST = 16;
 const MORE = 256;
-const STEADY_MS = 1500; // what changes more often than this says nothing by changing
+const STEADY_MS = 1500; // a value that changes more often is not highlighted
 const NUMBERS = new Set(["integer", "float", "bool"]);
 
-/** Make the tree of a type. `plots` knows which fields are plotted: `has(path)`, `toggle(path)`. */
+/** Make the tree of a type. `plots` manages the plotted fields: `has(path)`, `toggle(path)`. */
 export function messageTree(form, plots) {
   const rows = [];
   const root = el("div", { class: "tree" }, members(form, "", 0, rows, plots));

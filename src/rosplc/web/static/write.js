@@ -1,4 +1,4 @@
-// Writing one test message: the form, the question whether it is meant, and what came of it.
+// Writing one test message: the form, the confirmation, and the result.
 
 import { announce, el, fill, setText } from "./dom.js";
 import { way } from "./format.js";
@@ -8,7 +8,7 @@ import { ask, keep, token } from "./token.js";
 
 const SHOWN = 200;
 
-/** Make the form of a channel's test message from what the server says of its type. */
+/** Make the form for a channel's test message from the server's description of its type. */
 export function writeForm(id, { form, layout, initial }) {
   const inputs = input(form, "", "");
   const initialise = () => inputs.set(initial);
@@ -78,7 +78,7 @@ export function writeForm(id, { form, layout, initial }) {
   return root;
 }
 
-/** A question that has to be answered before a machine may move. */
+/** A confirmation dialog, because a machine may move. */
 function dialog(yes) {
   const title = el("h2", { id: "write-title" });
   const values = el("pre", { class: "values", tabindex: "0", "aria-label": "The values" });

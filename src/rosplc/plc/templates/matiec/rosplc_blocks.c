@@ -1,8 +1,8 @@
-/* The bodies of the function blocks of rosplc.st, for what matiec makes of them (POUS.h). Generated; changes are lost. */
+/* The bodies of rosplc.st's function blocks, for matiec's output (POUS.h). Generated; changes are lost. */
 #include <rosplc/plc.c>
 
 #include <time.h>
-#define tm iec_tm /* matiec has a type of this name, which C++ takes for that of time.h */
+#define tm iec_tm /* matiec has a type with this name, which conflicts with that of time.h in C++ */
 #include "POUS.h"
 #undef tm
 

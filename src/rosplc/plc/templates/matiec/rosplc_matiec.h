@@ -1,8 +1,8 @@
-/* What all blocks for matiec need; for rosplc_blocks.c alone. C11, and C++ as OpenPLC v3 compiles it.
+/* The common part of all blocks for matiec; only for rosplc_blocks.c. C11, and C++ as compiled by OpenPLC v3.
  *
- * What a block holds (mapping, claims, copies of records) is not in its instance, which retained variables would fill
- * with an earlier run's: it is found by the instance's address in a list, which gives everything back when the program
- * is unloaded. All tasks of a program that matiec compiled run in one thread. */
+ * A block's resources (mapping, claims, copies of records) are not in its instance, because retained variables would
+ * restore those of an earlier run. They are in a list, by the address of the instance, and are released when the
+ * program is unloaded. All tasks of a program compiled by matiec run in one thread. */
 #include <stdlib.h>
 
 typedef struct rosplc_own {
@@ -22,7 +22,7 @@ typedef struct rosplc_own {
 
 static rosplc_own *rosplc_owns;
 
-/* The first call of an instance allocates. */
+/* The first call of an instance allocates memory. */
 static rosplc_own *rosplc_own_of(const void *block, size_t records, void (*close)(rosplc_own *))
 {
     rosplc_own *own;
@@ -85,7 +85,7 @@ static inline uint32_t rosplc_now_ms(void)
     return (uint32_t)((uint64_t)now.tv_sec * 1000u + (uint64_t)now.tv_nsec / 1000000u);
 }
 
-/* One attempt to open in a scan: the next may come when the block that made the last one is called again. */
+/* One attempt to open per scan: the next is allowed when the block that made the last attempt is called again. */
 static int rosplc_may_open = 1;
 static const void *rosplc_opener;
 static uint32_t rosplc_opened_at;
@@ -124,7 +124,7 @@ static inline void rosplc_put_string(uint8_t *to, const STRING *from, size_t cap
     memset(to + length, 0, capacity + 1 - length);
 }
 
-/* Of a string that is too long for a STRING. */
+/* For a string that is too long for a STRING. */
 static inline void rosplc_put_bytes(uint8_t *to, const BYTE *from, size_t capacity)
 {
     size_t length = 0;

@@ -1,6 +1,6 @@
-// Has STruC++ compile rosplc.st and your program, and lays out all that OpenPLC's runtime compiles:
+// Compiles rosplc.st and your program with STruC++, and creates all files that OpenPLC's runtime compiles:
 //   node build.mjs STRUCPP PROGRAM.st FOLDER
-// STRUCPP is a built checkout of STruC++; FOLDER is core/generated of a runtime, or is zipped and uploaded.
+// STRUCPP is a built checkout of STruC++; FOLDER is core/generated of a runtime, or a folder to zip and upload.
 import { createHash } from "node:crypto";
 import { cpSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join, resolve } from "node:path";

@@ -1,4 +1,4 @@
-// The bodies of the function blocks of rosplc.st, for what STruC++ makes of them (generated.hpp). Generated; changes are lost.
+// The bodies of rosplc.st's function blocks, for STruC++'s output (generated.hpp). Generated; changes are lost.
 #include "generated.hpp"
 
 #define ROSPLC_PREFIX "{{ prefix }}"

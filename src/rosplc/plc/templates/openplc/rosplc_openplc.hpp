@@ -1,9 +1,9 @@
-// Between the variables of a program that STruC++ compiled and the records of rosplc; for rosplc_blocks.cpp alone.
+// Copies between the variables of a program compiled by STruC++ and rosplc's records; only for rosplc_blocks.cpp.
 //
-// What a block holds (mapping, claims, copy of a record) is not in its instance, where STruC++ has no destructor and
-// retained variables would bring an earlier run's back: it is found by the instance's address in a list, which gives
-// everything back when the program is unloaded. All is of this file alone: a symbol that is shared between libraries
-// would keep the program loaded.
+// A block's resources (mapping, claims, copy of a record) are not in its instance: STruC++ has no destructor, and
+// retained variables would restore those of an earlier run. They are in a list, by the address of the instance, and
+// are released when the program is unloaded. All symbols are local to this file: a symbol that is shared between
+// libraries would keep the program loaded.
 #include <atomic>
 #include <cstring>
 #include <ctime>
@@ -47,7 +47,7 @@ template <size_t Most> void put(uint8_t *to, const IECStringVar<Most> &from, siz
     std::memset(to + length, 0, capacity + 1 - length);
 }
 
-// TIME() does not advance in all but the fastest task of OpenPLC 4.1.4.
+// In OpenPLC 4.1.4, TIME() advances only in the fastest task.
 uint32_t now_ms()
 {
     timespec now;
@@ -55,7 +55,7 @@ uint32_t now_ms()
     return static_cast<uint32_t>(static_cast<uint64_t>(now.tv_sec) * 1000u + static_cast<uint64_t>(now.tv_nsec) / 1000000u);
 }
 
-// One attempt to open in a scan: the next may come when the block that made the last one is called again.
+// One attempt to open per scan: the next is allowed when the block that made the last attempt is called again.
 struct rosplc_pace {
     int may_open;
     const void *user;
@@ -87,7 +87,7 @@ template <class Own> class rosplc_list {
     std::atomic<node *> first{nullptr};
 
 public:
-    // The first call of an instance allocates. Tasks may add at once; nothing is taken out.
+    // The first call of an instance allocates memory. Tasks may add entries at the same time; none are removed.
     Own *of(const void *block)
     {
         node *made;
