@@ -87,9 +87,7 @@ class RosplcError(Exception):
 
 def _bounded(text: str) -> str:
     """Return an overlong text, which comes from another program, without its middle part."""
-    if len(text) <= LONGEST_TEXT:
-        return text
-    return f"{text[: LONGEST_TEXT - 300]} … {text[-200:]}"
+    return text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 300]} … {text[-200:]}"
 
 
 class MessageTypeError(RosplcError):

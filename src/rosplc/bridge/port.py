@@ -60,8 +60,7 @@ class Context:
     distro: str
     rights: Rights = USUAL
     beat_ns: int = 100_000_000  # the beat that is promised
-    # how long silence must last beyond what a topic allows before it is reported, and how long its
-    # end
+    # how long silence must last beyond what a topic allows before it is reported, and how long its end
     debounce_ns: int = 500_000_000
     clock: Clock = SYSTEM
     beating: dict[object, Any] = field(default_factory=dict, compare=False)  # readers, writers; by port

@@ -440,15 +440,13 @@ class ToRos(Stream):
 
     def flush(self, now_ns: int) -> None:
         """Send the messages that are due, but no substitute while another bridge carries the topic."""
-        if (substitute := self._substitute) is not None and self._taken_over():
+        substitute, problem = self._substitute, self.problem
+        if substitute is not None and ("[SHM116]" in problem if problem else not self.port.owned()):
             self.silence.excuse(now_ns)
             if substitute.active:
                 substitute.active = False
                 self._show(False)
         super().flush(now_ns)
-
-    def _taken_over(self) -> bool:
-        return "[SHM116]" in self.problem if self.problem else not self.port.owned()
 
     def _send_substitute(self, now_ns: int) -> None:
         """Publish a substitute for the PLC's message; it is counted separately, and never as lost."""

@@ -119,8 +119,7 @@ class CompiledPlan:
     """A plan before the C core has loaded it."""
 
     blob: bytes  # what ``_native.Plan`` takes
-    # the little-endian list, then the list for big-endian input; a fault's ``op`` is an index into
-    # it
+    # the little-endian list, then the list for big-endian input; a fault's ``op`` is an index into it
     ops: tuple[Op, ...]
     native_count: int  # number of ops in the little-endian list
 

@@ -265,9 +265,7 @@ def parse_wish(text: str, to: To | None = None) -> Wish:
         pattern = f"/{pattern}"
     if not pattern:
         raise ValueError(f"{text!r} is not a topic")
-    if not equals:
-        return Wish(pattern, None, to)
-    return Wish(pattern, type_called(type_name), to)
+    return Wish(pattern, type_called(type_name) if equals else None, to)
 
 
 def type_called(type_name: str) -> str:

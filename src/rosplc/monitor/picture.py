@@ -352,9 +352,7 @@ def age_text(age_ns: int | None) -> str:
     """Return an age: ``12 ms``, ``1.2 s``, ``14 s``, ``3 min``; ``never`` before the first message."""
     if age_ns is None:
         return "never"
-    if age_ns < 100_000_000:
-        return f"{age_ns // 1_000_000} ms"
-    return format_age(age_ns)
+    return f"{age_ns // 1_000_000} ms" if age_ns < 100_000_000 else format_age(age_ns)
 
 
 def count_text(count: int) -> str:

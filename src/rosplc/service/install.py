@@ -290,9 +290,7 @@ def in_words(step: Step) -> str:
     if isinstance(step, Write):
         same = step.path.exists() and _read(step.path) == step.text
         return f"{'keep' if same else 'write'} {step.path}"
-    if isinstance(step, Remove):
-        return f"remove {step.path}"
-    return f"run {' '.join(step.argv)}"
+    return f"remove {step.path}" if isinstance(step, Remove) else f"run {' '.join(step.argv)}"
 
 
 def _write(step: Write) -> None:

@@ -41,10 +41,9 @@ MAX_DOMAIN = 232  # above, port numbers exceed 65535 (DDSI-RTPS 2.2, 9.6.1.1)
 # Cyclone looks at a limited number of participants per machine; rmw_cyclonedds_cpp chooses 32.
 _INDICES = "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
 
-# Type information of Fast DDS (1.15) and Cyclone (1.16) peers is not compared: what their newer
-# releases announce for ROS types does not equal what an IDL compiler makes of the same definition,
-# and whatever has a sequence or an array would not match. Definitions are compared by ROS's own
-# type hash instead (peers.py).
+# Type information of Fast DDS (1.15) and Cyclone (1.16) peers is not compared: what their newer releases
+# announce for ROS types does not equal what an IDL compiler makes of the same definition, and types with a
+# sequence or an array would not match. Definitions are compared by ROS's own type hash instead (peers.py).
 _COMPATIBILITY = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
 
 # A burst must fit into a subscriber's receive buffer, by default 212,992 bytes on Linux with Fast DDS, whose
@@ -507,7 +506,7 @@ class DdsBackend(BaseNode):
                 self._watched = endpoints, pairs
             news = {endpoints[place] for place in changed(pairs)}
             for endpoint in news:
-                endpoint.renew()
+                endpoint.dirty = True
             return frozenset(news.union(one for one in endpoints if reviewed and one.dds_topic in reviewed))
 
     def _tick(self, now: int) -> None:

@@ -25,6 +25,7 @@ BATCH = 256  # messages taken from one reader before the others get their turn
 class Endpoint(BaseEndpoint):
     """The common base of both directions; the type hash is empty on Humble."""
 
+    dirty = False  # whether a change was seen since the last status
     strangers: frozenset[int] = frozenset()  # handles of publishers that announce another definition
 
     def __init__(self, entity: Any, *arguments: Any) -> None:
@@ -57,18 +58,14 @@ class Endpoint(BaseEndpoint):
             passed = self.sink.messages if self.sink is not None else 0
             counts = self._messages, self._dropped, self._rejected, self._failed, self._unfit()
             basis, known = (peers, self.strangers, passed, *counts), self._known
-            if changed(self.changing) or known is None or known[0] != basis:
-                self._known, found = None, super().status()
+            if self.dirty or changed(self.changing) or known is None or known[0] != basis:
+                self._known, self.dirty = None, False
+                found = super().status()
                 # A problem has words that depend on more, and one that settles on time.
                 if not found.code and not (found.reason and peers):
                     self._known = basis, found
                 return found
             return known[1]
-
-    def renew(self) -> None:
-        """Discard the stored status: something has changed."""
-        with self._asking:
-            self._known = None
 
     def matched_handles(self) -> frozenset[int]:
         """Instance handles of the matched peers."""

@@ -416,7 +416,6 @@ def _open(context: Context) -> RclpyBackend:
 
 # Connect to a ROS 2 graph with a context, a node and a thread of its own.
 #
-# Arguments and errors are those of `rosplc.ros.open_backend`. `environment` serves for
-# `ROS_DOMAIN_ID` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
-# middleware reads from the process. `options` are described in `read_options`.
+# Arguments and errors are those of `rosplc.ros.open_backend`; `options` are described in `read_options`. Only
+# `ROS_DOMAIN_ID` is read from `environment`; the middleware reads the rest from the process.
 open_backend = _base.opener(_open)

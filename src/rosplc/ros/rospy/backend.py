@@ -422,6 +422,6 @@ class RospyBackend(BaseNode):
 
 # Connect to a ROS 1 graph; arguments and errors as for `rosplc.ros.open_backend`.
 #
-# ROS 1 has no domains: `ROS_MASTER_URI` tells which graph it is. There are no options. The call
-# returns at once, with or without a master; the node registers as soon as there is one.
+# ROS 1 has no domains: `ROS_MASTER_URI` selects the graph. There are no options. The call returns
+# immediately, with or without a master; the node registers when a master is available.
 open_backend = opener(RospyBackend)

@@ -403,7 +403,6 @@ class ZenohBackend(BaseNode):
 
 # Connect to a ROS 2 graph over Zenoh; arguments and errors as for `rosplc.ros.open_backend`.
 #
-# Options (`ros.zenoh`): `mode` (`peer` or `client`), `connect` and `listen` (lists
-# of endpoints such as `tcp/192.168.1.10:7447`), `config` (a JSON5 file of Zenoh's). ROS013 if an option is
-# not valid, ROS010 if an environment variable is not.
+# Options (`ros.zenoh`): `mode` (`peer` or `client`), `connect` and `listen` (lists of endpoints such as
+# `tcp/192.168.1.10:7447`), `config` (Zenoh's JSON5 file). ROS013 or ROS010: invalid option or variable.
 open_backend = opener(ZenohBackend)
