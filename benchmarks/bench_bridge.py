@@ -252,7 +252,7 @@ def quiet(topics: int, rounds: int, seconds: float) -> dict[str, Any]:
             time.sleep(min(3.0, seconds))
             found |= share({"bridge, a PLC scans": process.pid}, seconds, rounds)
     rows = [measure.row(name, values) for name, values in found.items()]
-    waiting = "the bridge sleeps as above; it ticks every 1 ms while a PLC beats, otherwise every 10 ms"
+    waiting = "the bridge sleeps as above, and towards ROS until the PLC scans, or for 10 ms"
     return measure.table(f"{topics} quiet topics", "% of a core", waiting, rows)
 
 

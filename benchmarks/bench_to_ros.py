@@ -219,7 +219,7 @@ def quiet(sizes: Sequence[int], rounds: int, seconds: float, plc: Path, library:
                 with scanning(plc, *tasks) if tasks else ExitStack():
                     time.sleep(2 * seconds)
                     rows.append(measure.row(f"{topics}, {title}", shares(carrier, rounds, seconds)))
-    waiting = "the bridge sleeps for 1 ms while a PLC beats, otherwise for 10 ms"
+    waiting = "the bridge sleeps until the PLC scans, or for 10 ms"
     return measure.table("Quiet topics, half of them each way", "% of a core", waiting, rows)
 
 

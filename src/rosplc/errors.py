@@ -197,7 +197,7 @@ _register("SHM116", "another bridge uses this name", "Stop the other bridge, or 
 _register("SHM117", "not enough room in shared memory", "Free space in /dev/shm, enlarge it (mount -o remount,size=...), or lower the limits or depth of topics.")
 _register("SHM118", "name is not valid", "Use letters, digits, _ and / in a topic; letters, digits, _ and - in a prefix.")
 _register("SHM119", "object belongs to another user", "Remove the object, run the program as the object's owner, or choose another prefix.")
-_register("SHM120", "name refers to another object", "No action needed: the file was removed or replaced while the bridge was running, and the bridge creates the object again.")
+_register("SHM120", "name refers to another object", "No action needed: the file was removed or replaced while the bridge was running, and the bridge creates the object again within 5 s.")
 _register("SHM121", "not a plain file", "Remove the link or device that has this name; rosplc never follows links in this folder.")
 _register("SHM122", "this side maps the object read-only", "To publish, attach with write access.")
 _register("SHM123", "shared memory directory cannot be used", "Check that /dev/shm is mounted and writable by this user.")

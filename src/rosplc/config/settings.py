@@ -682,7 +682,9 @@ class Settings(_Section):
     limits: LimitSettings = _f({}, "Capacities of strings and sequences.")
     shm: ShmSettings = _f({}, "The objects in shared memory.")
     tick_ns: Annotated[Duration, between("50us", "1s")] = _f(
-        "1ms", "How often the bridge polls for messages from the PLC, 50us to 1s."
+        "1ms",
+        "How often the bridge polls for messages from the PLC, 50us to 1s. With no PLC running, every 10 ms; "
+        "after 10 s without a message, once per PLC scan and at least every 10 ms.",
     )
     beat_ns: Annotated[Duration, between("10ms", "10s")] = _f(
         "100ms", "Heartbeat period, 10ms to 10s; after three missed heartbeats, the bridge counts as dead."
