@@ -34,6 +34,7 @@ class Side:
         self.codec = Codec(plan.layout, Wire.CDR)
         self.counters = Counters()
         self.problem = ""
+        self.still = False
         self.events: list[Any] = []
 
     def receive(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:

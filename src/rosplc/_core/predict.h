@@ -280,8 +280,8 @@ static inline int64_t rp_next(rp_predictor *p, int64_t longest)
     if (p->again && p->again < due - slack)
         due = p->again;
     p->early = due < grid ? grid - due : 0;
-    if (calm && grid < p->planned + longest)
-        grid = p->planned + longest;
+    if (calm && grid < p->planned + longest - slack)
+        grid = p->planned + longest - slack;
     p->due = due > grid + slack ? grid : due;
     return p->due;
 }

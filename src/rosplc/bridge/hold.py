@@ -98,7 +98,7 @@ class Hold:
     @property
     def due_ns(self) -> int | None:
         """When :meth:`flush` is due; None if nothing is waiting."""
-        return min((stage.due_ns for stage in self.stages if stage.due_ns is not None), default=None)
+        return min((due for stage in self.stages if (due := stage.due_ns) is not None), default=None)
 
     @property
     def skipped(self) -> int:

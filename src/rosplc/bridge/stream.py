@@ -104,7 +104,8 @@ class Stream(Notes, ABC):
             received = self.counters.received + self._passed()
             self._rate = (received - count) * 1e9 / (now_ns - since)
             self._rate_from = (now_ns, received)
-            self.still = self.still and not self._rate
+            if self._rate:
+                self.still = False
         try:
             return self.port.check(now_ns)
         except (ChannelError, ValueError, OSError) as error:
@@ -113,6 +114,7 @@ class Stream(Notes, ABC):
 
     def ask(self, now_ns: int) -> None:
         """Query the ROS side: show the PLC the number of ROS endpoints, and note new losses."""
+        self.still = True  # only here, and only cleared elsewhere: what other threads see is not lost
         endpoint, status = self._look(now_ns)
         if endpoint is not None:
             self._tell(endpoint.matched)
@@ -190,7 +192,7 @@ class Stream(Notes, ABC):
         return None if self._endpoint is None else self._endpoint.status()
 
     def status(self, now_ns: int, within_ns: int = 0) -> TopicStatus:
-        """Return the stream's state, at most ``within_ns`` old; the same object if only its age differs."""
+        """Return the stream's state, at most ``within_ns`` old if it changes; without an age one object."""
         _, status = self._known
         if status is None or not within_ns or (now_ns - self._looked_ns >= within_ns and not self.still):
             _, status = self._look(now_ns)
@@ -208,10 +210,11 @@ class Stream(Notes, ABC):
         skipped, substituting, noted = self.hold.skipped, self.substituting, self.noted(now_ns, endpoint)
         states = rate, stale, silent, substituting, silence.last_ns is None
         basis = endpoint, port, *states, *noted.values(), passed, truncated, skipped, *counters.values()
-        (before, status), self._looked_ns, self.still = self._known, now_ns, False
+        (before, status), self._looked_ns = self._known, now_ns
+        waits = rate or noted["recent"] or not stale == silent == bool(plan.stale_after_ns)
+        if basis != before or waits or plan.own or plan.port != "channel" or self.hold.due_ns is not None:
+            self.still = False
         if basis == before and status is not None:
-            waits = rate or noted["recent"] or not stale == silent == bool(plan.stale_after_ns)
-            self.still = not waits and self.hold.due_ns is None and plan.port == "channel"
             return endpoint, status
         found = vars(port) | counters | noted | {"lost": self.counters.lost + port.lost}
         for name, more in (("received", passed), ("published", passed), ("truncated", truncated)):

@@ -109,11 +109,8 @@ def _allow_short_forms(schema: dict[str, Any]) -> None:
         schema["properties"][name]["additionalProperties"] = False  # names that miss the pattern
     for name, value in schema["properties"].items():
         if "$ref" in value or name in _BY_NAME:
-            schema["properties"][name] = {"anyOf": [value, {"type": "null"}], **_lift(value)}
-
-
-def _lift(value: dict[str, Any]) -> dict[str, Any]:
-    return {key: value.pop(key) for key in ("default", "description", "title") if key in value}
+            lifted = {key: value.pop(key) for key in ("default", "description", "title") if key in value}
+            schema["properties"][name] = {"anyOf": [value, {"type": "null"}], **lifted}
 
 
 def _parse(path: Path, text: str | None, base: Path) -> Config:

@@ -34,8 +34,8 @@ _LARGEST = 128 * 1024 * 1024  # with four slots half a gigabyte: no topic for a 
 RULES = (
     f"The limit of a string is twice the longest length seen, rounded up to a multiple of {_STRING_STEP}, "
     f"and at least {_STRING_LEAST} bytes. The limit of a sequence is 1.5 times the longest length seen, "
-    f"rounded up to a multiple of {_SEQUENCE_STEP}. If at least {_SURE} messages all had the same length, "
-    f"it is that length. With fewer than {_SURE} messages, no limit is set below the default. "
+    f"rounded up to a multiple of {_SEQUENCE_STEP}, or exactly that length if it never changed in at least "
+    f"{_SURE} messages. With fewer than {_SURE} messages, no limit is set below the default. "
     "A message that exceeds a limit is refused and counted, never truncated."
 )
 """The rules for proposed limits, in words."""

@@ -27,7 +27,7 @@ def unpack_first(
         reader = Reader(store, payload)
         return reader.message(type_name, count), reader.rest()
     except (struct.error, IndexError) as error:
-        raise BackendError("ROS008", f"a {type_name} cannot be read: {error}") from error
+        raise BackendError("ROS008", f"cannot read a message of type {type_name}: {error}") from error
 
 
 def unpack_whole(store: TypeStore, type_name: str, payload: bytes) -> dict[str, Any]:

@@ -268,7 +268,7 @@ class NameLock:
         return same_file(self.path, mine.st_dev, mine.st_ino)
 
     def show(self) -> None:
-        """Update the file's time stamp to show that the lock is held; call this about once per second."""
+        """Update the file's time stamp to show that the lock is held; call this every few seconds."""
         if self.fd >= 0:
             os.utime(self.fd)
 

@@ -162,7 +162,7 @@ class OwnedChannel(Mapped):
     def still_there(self) -> bool:
         """Return whether the names still refer to this object and its lock, and its identity is intact.
 
-        If not, close this object and open the name again. Call this about once per second: it also notes, for
+        If not, close this object and open the name again. Call this every few seconds: it also notes, for
         the next owner, that the name is held.
         """
         return self._lock.fd >= 0 and self.region.held(*self._held)

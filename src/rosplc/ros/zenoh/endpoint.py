@@ -78,7 +78,7 @@ class Endpoint(BaseEndpoint):
 def read(payload: Any, attachment: Any) -> tuple[bytes, Attachment]:
     """Return payload and attachment; ValueError if they are not from a ROS 2 node."""
     if payload is None or attachment is None:
-        raise ValueError("no attachment, which every ROS message has")
+        raise ValueError("the payload or the attachment is missing; every ROS 2 message has both")
     data: bytes = payload.to_bytes()
     if not is_cdr(data):
         raise ValueError("no plain CDR header")

@@ -116,7 +116,7 @@ class ZenohClient(Queued, BaseClient, Sender):
         if (attachment.sequence, attachment.gid) == (number, self._gid):
             self._end_soon(number, Reply(payload))
         else:
-            self.reject("the number and ID are not those of the request")
+            self.reject("the sequence number or client ID does not match the request")
 
     def finished(self, number: int, errors: list[str]) -> None:
         """Note that there are no more responses; called by threads of the library."""
