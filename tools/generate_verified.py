@@ -42,7 +42,7 @@ ROS:
     ros1-definitions | message definitions from the network are used only if they are valid
     backends | all backends deliver and order messages, reconnect, and report problems in the same way
     init | `rosplc init` writes a valid configuration for any ROS graph or recording
-    distribution | an installed ROS 2 distribution, the `ros2` command, the launch file \
+    distribution | a ROS 2 installation, the `ros2` command, the launch file \
 | rclpy on Fast DDS (Kilted, from wheels); test doubles for Humble and Jazzy
     rmw | nodes on rmw_cyclonedds or rmw_zenoh | independent implementations of the conventions of these two
 Shared memory and conversion:

@@ -1,4 +1,4 @@
-"""Services and actions that the PLC calls: towards the PLC, the bridge is the answerer."""
+"""Services and actions that the PLC calls: for the PLC, the bridge is the answerer."""
 
 from __future__ import annotations
 

@@ -239,7 +239,7 @@ class Carrier:
 
 
 class Carriers:
-    """All carriers of a bridge, by stream; ``tick_ns`` is the tick towards ROS."""
+    """All carriers of a bridge, by stream; ``tick_ns`` is the tick to ROS."""
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
@@ -283,7 +283,7 @@ class Carriers:
 
     @property
     def turned_ns(self) -> int:
-        """The last time at which the thread of the channels towards ROS, or of the calls, began a round."""
+        """The last time at which the thread of the channels to ROS, or of the calls, began a round."""
         carriers = (self._carriers["channel", way] for way in (Direction.TO_ROS, None))
         turned = (carrier.turned_ns for carrier in carriers if carrier.running)
         return min(turned, default=self._context.clock.monotonic_ns())

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 Item = tuple[bytes, int]  # a message's wire bytes and its stamp, ns since 1970
 
-GRACE_NS = 1_000_000_000  # how long after the start messages towards ROS may wait for the first subscriber
+GRACE_NS = 1_000_000_000  # how long after the start messages to ROS may wait for the first subscriber
 
 _LOOK_NS = 5_000_000
 _RETRY_NS = 500_000_000
@@ -188,7 +188,7 @@ class RateLimiter(Stage):
 
 
 class Grace(Stage):
-    """Holds back the first messages of a topic towards ROS for a moment, until a subscriber is connected.
+    """Holds back the first messages of a topic to ROS for a moment, until a subscriber is connected.
 
     If a PLC writes while the bridge is down, the bridge finds the message as soon as it starts, but
     subscribers need a few hundred milliseconds to discover the bridge. A volatile one would miss the message.

@@ -136,7 +136,7 @@ class Port(Protocol):
 
     adopted: bool  # whether :meth:`open` found an object and kept it; never asked before that
     side: Stream
-    # What takes messages without Python while it is open: its own towards the PLC, else the publisher's.
+    # What takes messages without Python while it is open: its own to the PLC, else the publisher's.
     sink: Any = None
 
     def open(self) -> None:
@@ -162,7 +162,7 @@ class Port(Protocol):
         return
 
     def owned(self) -> bool:
-        """Return whether this bridge still carries the object; used towards ROS."""
+        """Return whether this bridge still carries the object; used to ROS."""
         return True
 
     def retained(self) -> tuple[bytes, int, int] | None:

@@ -1,4 +1,4 @@
-"""Services and actions that the PLC serves: towards the PLC, the bridge is the caller."""
+"""Services and actions that the PLC serves: for the PLC, the bridge is the caller."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class _Call:
 
 
 class Calling(Use):
-    """A service or action that the PLC serves: towards the PLC, the bridge is the caller."""
+    """A service or action that the PLC serves: for the PLC, the bridge is the caller."""
 
     _caller: Caller | None = None
     _again = False  # the newest answer counts once more: it is to what an earlier bridge asked

@@ -233,7 +233,7 @@ class Stream(Notes, ABC):
 
 
 class ToPlc(Stream):
-    """One topic towards the PLC: the backend's thread gives each message to the port.
+    """One topic to the PLC: the backend's thread gives each message to the port.
 
     ``on_due`` is called from any thread when a message has to wait; :meth:`flush` sends it.
     """
@@ -300,7 +300,7 @@ class ToPlc(Stream):
 
 
 class ToRos(Stream):
-    """One topic towards ROS; the carrier's thread calls its methods unless stated otherwise."""
+    """One topic to ROS; the carrier's thread calls its methods unless stated otherwise."""
 
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         super().__init__(plan, context, ports)

@@ -14,7 +14,7 @@ rosplc init --bag line3.bag --all  —  from a recording of ROS 1 or ROS 2
 
 While listening, the command subscribes to the chosen topics; it publishes nothing. The proposed limits
 are one and a half times the observed sizes; comments in the file show the sizes. Definitions that are not
-in the distribution are taken from `--types`, from an installed ROS (`AMENT_PREFIX_PATH`,
+in the distribution are taken from `--types`, from a ROS installation (`AMENT_PREFIX_PATH`,
 `ROS_PACKAGE_PATH`), from a node that uses the topic or from the recording, and saved in a folder `msg`
 next to the file.
 """

@@ -32,7 +32,7 @@ class ClassicPlan:
     wait_ns: int = 5_000_000  # how long a side tries to get the lock before it leaves it for the next time
     # how long the lock must be held, without any sign of life, before its holder counts as dead
     recover_after_ns: int = 1_000_000_000
-    poll_ns: int = 1_000_000  # towards ROS: time between two looks at the memory
+    poll_ns: int = 1_000_000  # to ROS: time between two looks at the memory
 
 
 def classic_name(topic: str) -> str:
@@ -81,13 +81,13 @@ _SHORTEST_NS = parse_duration("1ms")
 class StalePlan:
     """What is there while a topic's source is silent."""
 
-    # towards the PLC ``hold`` the last message, ``zero``, or ``value``; towards ROS ``stop`` or
+    # to the PLC ``hold`` the last message, ``zero``, or ``value``; to ROS ``stop`` or
     # ``substitute``
     action: Literal["hold", "zero", "value", "stop", "substitute"] = "hold"
     # the fields of the message that takes the source's place; what it lacks is initial
     value: Mapping[str, Any] = field(default_factory=dict)
     record: bytes = b""  # the same as a record; empty unless there is such a message
-    period_ns: int = 0  # towards ROS: time between two substitutes
+    period_ns: int = 0  # to ROS: time between two substitutes
 
 
 def flag_topic(topic: str) -> str:
@@ -371,7 +371,7 @@ def _contradictions(
     for client in entry.clients:
         if (before := seen.setdefault(client.lower(), client)) != client:
             what = f"{client} and {before} are the same name in the PLC, which ignores case"
-            wrong(("clients", client), what, "", "CFG007")
+            wrong(("clients", client), what, "Rename one of the clients.", "CFG007")
 
 
 def _layouts(

@@ -221,7 +221,7 @@ def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
         missing.append(f"cyclonedds for Python {python[0]}.{python[1]}")
     if machine not in _ZENOH_MACHINES:
         missing.append(f"eclipse-zenoh for {machine}")
-    remedy = "Use an installed ROS 2 (backend rclpy) or Zenoh, or build the package from source."
+    remedy = "Use a ROS 2 installation (backend rclpy) or Zenoh, or build the package from source."
     well = "PyPI has wheels of cyclonedds and eclipse-zenoh for this machine"
     yield judged("DOC111", f"PyPI has no wheel of {', '.join(missing)}" if missing else "", well, remedy)
 

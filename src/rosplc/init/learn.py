@@ -41,7 +41,7 @@ class Definitions:
     """The known types: at first those of a distribution, later also those that were learned.
 
     ``folders`` contain the user's ``.msg`` files; ``AMENT_PREFIX_PATH`` and ``ROS_PACKAGE_PATH`` of the
-    environment list the folders of an installed ROS. ``texts`` maps full names to the definitions to be
+    environment list the folders of a ROS installation. ``texts`` maps full names to the definitions to be
     saved, ``origins`` to their sources in words. Raises MessageTypeError TYP… as for ``types.paths`` of a
     configuration.
     """
@@ -64,7 +64,7 @@ class Definitions:
         self.store = new
 
     def find_installed(self, type_name: str) -> bool:
-        """Look for a type and its dependencies in an installed ROS; return whether the type is known now.
+        """Look for a type and its dependencies in a ROS installation; return whether the type is known now.
 
         Raises MessageTypeError TYP… if its definition is invalid.
         """
@@ -123,7 +123,7 @@ _MOST_NODES = 3
 
 
 def learn(definitions: Definitions, backend: Backend, topic: str, type_name: str) -> None:
-    """Make sure that a topic's type is known: from an installed ROS, else from a node that uses the topic.
+    """Make sure that a topic's type is known: from a ROS installation, else from a node that uses the topic.
 
     Raises MessageTypeError TYP… if no node can describe it, and for ROS 1 BackendError ROS014 or ROS017.
     """

@@ -39,7 +39,7 @@ class Expected:
     """The expectations of configurations: by prefix and topic, and classic topics with their bridge's prefix.
 
     ``calls`` are the objects of services and actions: prefix, name, part and client.
-    ``stale_after_ns`` is for topics towards the PLC that are in no configuration; 0 for never.
+    ``stale_after_ns`` is for topics to the PLC that are in no configuration; 0 for never.
     """
 
     topics: Mapping[tuple[str, str], Expectation] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Expected:
         """Return what is expected of a topic; calls may arrive at any time, or never."""
         if part is not Part.TOPIC:
             return Expectation(0, configured=any(call[:2] == (prefix, topic) for call in self.calls))
-        # Without a configuration silence towards ROS is never stale.
+        # Without a configuration silence to ROS is never stale.
         default = Expectation(self.stale_after_ns if direction is Direction.TO_PLC else 0, configured=False)
         return self.topics.get((prefix, topic)) or default
 

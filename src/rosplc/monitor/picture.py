@@ -56,7 +56,7 @@ ASKS = ("request", "goal")  # the parts of services and actions that the caller 
 
 @dataclass(frozen=True, slots=True)
 class ReaderView:
-    """A claimed reader line; line 0 of a channel towards ROS is the bridge's.
+    """A claimed reader line; line 0 of a channel to ROS is the bridge's.
 
     ``task`` and ``pid`` are the reader's own data, for display; ``alive`` is None until it is known.
     ``taken`` is the sequence of the newest message taken; ``lost`` counts missed messages (a reader that

@@ -35,7 +35,7 @@ class PlcTopic:
 
     topic: str  # as ROS writes it
     layout: Layout  # its message's layout
-    direction: Literal["read", "write"]  # ``"read"`` towards the PLC, ``"write"`` towards ROS
+    direction: Literal["read", "write"]  # ``"read"`` to the PLC, ``"write"`` to ROS
     task: str  # name of the task that serves it
     object_size: int = 0  # bytes of the shared-memory object; 0: the block asks the object
     stale_after_ns: int = 0  # age from which a message is stale; 0: never

@@ -295,7 +295,7 @@ _SLOTS = 64  # of a channel that neither a configuration nor a recording nor an 
 
 
 class PlcTarget(Target):
-    """Channels towards the PLC, each created or adopted as a bridge would.
+    """Channels to the PLC, each created or adopted as a bridge would.
 
     A channel's limits and depth are those of the configuration (``project``), otherwise of the existing
     object, otherwise of the recording, so that they match the code in the PLC. ``topics`` is name in shared

@@ -138,7 +138,7 @@ class McapSource(Source):
         self.start_ns = min((part.start_ns for part in parts), default=0)
         self.end_ns = max((part.end_ns for part in parts), default=0)
         self.notes = tuple(
-            f"{found.path}: {found.problem}; only the messages before this are replayed"
+            f"{found.path}: {found.problem}; only the intact messages are replayed"
             for found in self._surveys
             if not found.complete or found.damaged
         )

@@ -379,7 +379,7 @@ class Attached(Mapped):
     def writer_claim(self, beat_ms: int = 1000) -> WriterClaim:
         """Return an attempt to become the writer, for callers that must not wait.
 
-        Raises ChannelError: SHM110 if the direction is towards the PLC, where only the bridge writes; SHM122
+        Raises ChannelError: SHM110 if the direction is to the PLC, where only the bridge writes; SHM122
         if the object is mapped read-only; SHM111.
         """
         if self.identity.direction is not Direction.TO_ROS:

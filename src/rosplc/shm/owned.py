@@ -134,10 +134,10 @@ class OwnedChannel(Mapped):
         return channels
 
     def writer(self, beat_ms: int = 1000) -> Writer:
-        """Claim the channel towards the PLC; since the lock is held, any other claim is outdated.
+        """Claim the channel to the PLC; since the lock is held, any other claim is outdated.
 
         ``beat_ms`` is the longest time between two heartbeats or messages that the writer promises. Raises
-        SHM110 if the direction is towards ROS.
+        SHM110 if the direction is to ROS.
         """
         if self.identity.direction is not Direction.TO_PLC:
             raise channel_error(110, "only the PLC can write to a to_ros channel", self.path)
@@ -146,11 +146,11 @@ class OwnedChannel(Mapped):
         return writer
 
     def reader(self, beat_ms: int = 1000, *, latched: bool = False) -> Reader:
-        """Claim line 0 of a channel towards ROS, and continue after the last message taken before (M14).
+        """Claim line 0 of a channel to ROS, and continue after the last message taken before (M14).
 
         ``beat_ms`` is the longest time between two heartbeats or reads that the reader promises. If no
         earlier reader is recorded, ``latched`` starts with the messages in the object. Raises SHM110 if the
-        direction is towards the PLC.
+        direction is to the PLC.
         """
         if self.identity.direction is not Direction.TO_ROS:
             raise channel_error(110, "the bridge cannot read a to_plc channel, which it writes", self.path)

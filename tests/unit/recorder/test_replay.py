@@ -547,7 +547,7 @@ def test_a_cut_file_is_replayed_and_repaired(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: open_source(path)._surveys[0].parts[3].end + 20])  # type: ignore[attr-defined]
     source = open_source(path)
-    assert "only the messages before this are replayed" in source.notes[0]
+    assert "only the intact messages are replayed" in source.notes[0]
     assert [number for _, number in played(path).got] == list(range(40))
     done = repair(path, tmp_path / "b.mcap")
     assert (done.messages, done.topics) == (40, {"/t1": 40}) and done.problem

@@ -1,4 +1,4 @@
-"""ROS 2 through an installed ROS 2, with its middleware and security, on any machine."""
+"""ROS 2 through a ROS 2 installation, with its middleware and security, on any machine."""
 
 from rosplc.ros.rclpy.backend import RclpyBackend, from_node, open_backend
 

@@ -285,7 +285,7 @@ class RospyClient(_Service, BaseClient):
         link = _Link()
         with self._lock:
             if len(self._links) >= MOST_CALLS:
-                why = f"{MOST_CALLS} calls to {self.topic} are already open"
+                why = f"{MOST_CALLS} calls to {self.topic} are already pending"
                 return Reply(None, "not executed", Reason.QUEUE_FULL, why)
             self._links[number] = link
         arguments = (number, link, payload)
