@@ -1,7 +1,8 @@
 /* _native.Group: one tick over all channels of a bridge in one call.
  *
  * wait() looks at the heads of all readers on an absolute-time grid, without the GIL, and with `predict` when news is
- * expected, or while all is quiet when the PLC's tasks are expected to scan; take() converts everything new to wire bytes, straight out of the slots; beat() beats all lines.
+ * expected, or while all is quiet when the PLC's tasks are expected to scan; take() converts everything new to wire
+ * bytes, straight out of the slots; beat() beats all lines.
  *
  * The table of channels is guarded by `mutex`, which wait() holds without the GIL for the length of one
  * look. Nobody waits for the GIL while holding it.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("rosplc.bridge")
 
 QUIET_NS = 10_000_000_000  # time between two log lines of one kind
-STILL_TURNS = 5  # of so many looks at what costs much, one is at a topic on which nothing happens
+STILL_TURNS = 5  # costly checks of a topic on which nothing happens are made once in so many turns
 _MOST_KINDS = 1000
 
 
@@ -136,7 +136,7 @@ class Port(Protocol):
 
     adopted: bool  # whether :meth:`open` found an object and kept it; never asked before that
     side: Stream
-    # What takes messages without Python while it is open: its own to the PLC, else the publisher's.
+    # Takes messages without Python while it is open: to the PLC its own, else the publisher's.
     sink: Any = None
 
     def open(self) -> None:
@@ -162,7 +162,7 @@ class Port(Protocol):
         return
 
     def owned(self) -> bool:
-        """Return whether this bridge still carries the object; used to ROS."""
+        """Return whether this bridge still carries the object; for messages to ROS."""
         return True
 
     def retained(self) -> tuple[bytes, int, int] | None:

@@ -81,8 +81,7 @@ _SHORTEST_NS = parse_duration("1ms")
 class StalePlan:
     """What is there while a topic's source is silent."""
 
-    # to the PLC ``hold`` the last message, ``zero``, or ``value``; to ROS ``stop`` or
-    # ``substitute``
+    # to the PLC ``hold`` the last message, ``zero``, or ``value``; to ROS ``stop`` or ``substitute``
     action: Literal["hold", "zero", "value", "stop", "substitute"] = "hold"
     # the fields of the message that takes the source's place; what it lacks is initial
     value: Mapping[str, Any] = field(default_factory=dict)

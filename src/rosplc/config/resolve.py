@@ -318,7 +318,7 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
 def _latched(entry: TopicSettings) -> bool:
     if entry.latched is not None:
         return entry.latched
-    # Only where it is written: to ROS transient local is the default.
+    # Only where it is written: for messages to ROS, transient local is the default.
     preset = PRESETS[entry.qos.preset].durability if entry.qos.preset else "volatile"
     return (entry.qos.durability or preset) == "transient_local"
 
