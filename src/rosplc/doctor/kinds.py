@@ -52,7 +52,7 @@ _register("DOC101", _A, _W, "kernel and architecture", "rosplc is tested on x86-
 _register("DOC102", _A, _N, "word size of kernel and programs", "The kernel is 64-bit and this Python is 32-bit, as on many single-board computers. Channels work; the semaphore of a classic topic requires the same word size on both sides.", "No action needed unless a classic topic is used with a 64-bit PLC runtime.")
 _register("DOC103", _A, _W, "the clock", "The clock shows a time earlier than this release: message time stamps are wrong, and will jump when the clock is set.", "Set the clock.")
 _register("DOC104", _A, _E, "open files", "A bridge keeps several files and sockets open per topic; if the limit is too low, the bridge exits with SYS006.", "Raise the limit in the shell or the service that starts the bridge.")
-_register("DOC105", _A, _N, "real-time permissions", "Without these permissions, a bridge runs at normal priority; a busy PLC can delay its messages.", "No action needed unless delays of a few milliseconds matter.")
+_register("DOC105", _A, _N, "real-time permissions", "Without these permissions, a bridge can only run at normal priority, where a busy PLC can delay its messages.", "No action needed unless delays of a few milliseconds matter.")
 _register("DOC106", _A, _W, "logout", "When the last session of an ordinary user ends, systemd removes everything that the user owns in /dev/shm, including objects of a running bridge.", "Run the bridge as a system user, or disable RemoveIPC in systemd.")
 _register("DOC110", _A, _E, "installed packages", "A package that rosplc needs is missing.", "Reinstall rosplc with its dependencies.")
 _register("DOC111", _A, _N, "backends without a package for this machine", "PyPI has no wheel of the backend's package for this architecture or Python version.", "Use another backend, or build the package from source.")
@@ -81,8 +81,8 @@ _register("DOC218", _A, _W, "permission to open classic objects with O_CREAT", "
 
 _A = Area.PLC
 _register("DOC301", _A, _N, "CODESYS runtime", "No process named codesyscontrol is running on this machine, or its container is not visible from here.", "Start the runtime, or specify its user with --plc-user.")
-_register("DOC302", _A, _N, "word size of the runtime", "The PLC runtime is 32-bit and the kernel is 64-bit. Channels work; a semaphore of a classic topic cannot be shared with a 64-bit bridge.", "Use the default channel for topics that are now classic.")
-_register("DOC303", _A, _E, "permissions of the PLC user", "The user of the PLC runtime has no permission to read and write the objects, which the PLC blocks require (SHM102).", "Give the objects to a group of which this user is a member.")
+_register("DOC302", _A, _N, "word size of the runtime", "The PLC runtime is 32-bit and the kernel is 64-bit. Channels work, but a semaphore of a classic topic cannot be shared with a 64-bit bridge.", "Use the default channel for topics that are now classic.")
+_register("DOC303", _A, _E, "permissions of the PLC user", "The user of the PLC runtime has no permission to read and write the objects, which the PLC blocks require (SHM102).", "Set shm.group to a group that the PLC user belongs to.")
 _register("DOC304", _A, _E, "the same /dev/shm as the PLC", "The runtime uses a different /dev/shm, for example in a separate container: neither side can see the other's objects.", "Let the containers share /dev/shm.")
 _register("DOC305", _A, _N, "the doctor's container", "By default, a container has its own /dev/shm, processes and network.", "Start the container so that it shares these with the PLC runtime, and make /dev/shm large enough.")
 
