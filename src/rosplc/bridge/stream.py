@@ -227,7 +227,7 @@ class Stream(Notes, ABC):
                 found["lost"] += endpoint.dropped
         found |= {"topic": plan.topic, "type_name": plan.type_name, "direction": plan.direction}
         found |= {"rate_hz": rate, "stale": stale, "silent": silent, "substituting": substituting}
-        status = TopicStatus(**found)
+        vars(status := object.__new__(TopicStatus)).update(found)  # as in status()
         self._known = basis, status
         return endpoint, status
 

@@ -207,13 +207,13 @@ class BaseEndpoint:
         """Return the number of messages that the middleware refused because they do not fit the type."""
         return 0
 
+    def _asked(self) -> tuple[str, str, int, int, int]:
+        """Return what only the middleware knows: problem, number of peers, losses, missed deadlines."""
+        return (*self._problem(), self.matched, self._losses(), self._late())
+
     def status(self) -> backend.EndpointStatus:
         """Return the current state."""
-        if self.closed:
-            matched, code, reason, losses, late = 0, "ROS009", "closed", 0, 0
-        else:
-            code, reason = self._problem()
-            matched, losses, late = self.matched, self._losses(), self._late()
+        code, reason, matched, losses, late = ("ROS009", "closed", 0, 0, 0) if self.closed else self._asked()
         messages, last_ns = self._messages, self._last_ns
         if (sink := self.sink) is not None and sink.messages:
             messages += sink.messages

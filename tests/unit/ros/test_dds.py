@@ -345,7 +345,7 @@ def test_a_change_is_told_once_by_the_library(graph: Graph) -> None:
     wait_for(changed)
     assert publisher.matched
     assert not changed()
-    assert publisher.status() is publisher.status()
+    assert publisher._asked() is publisher._asked()
     other.close()
     wait_for(changed)
     assert not publisher.matched

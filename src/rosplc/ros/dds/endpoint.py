@@ -10,7 +10,7 @@ from typing import Any
 from cyclonedds._clayer import ddspy_take, ddspy_write_ts
 
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Problem, differs
-from rosplc.ros.backend import EndpointStatus, Sink
+from rosplc.ros.backend import Sink
 from rosplc.ros.buffers import default_buffer, largest_message
 from rosplc.ros.dds import native
 from rosplc.ros.dds._batch import Outlet, changed
@@ -40,7 +40,7 @@ class Endpoint(BaseEndpoint):
         self._unfit_before = library_log.dropped(self._received_topic)
         self.changing = array("i", (self.ref, int(native.CHANGES[self.direction])))
         self._asking = threading.Lock()
-        self._known: tuple[tuple[Any, ...], EndpointStatus] | None = None
+        self._known: tuple[tuple[Any, ...], tuple[str, str, int, int, int]] | None = None
 
     def _names(self) -> tuple[str, str]:
         """Return the DDS topics: that of ``entity``, and the one whose messages are received."""
@@ -49,20 +49,18 @@ class Endpoint(BaseEndpoint):
     def _matched(self) -> int:
         return native.matched_count(self.ref, self.direction)
 
-    def status(self) -> EndpointStatus:
-        """Return the current state; what cannot have changed is not queried again."""
-        if self.serves or self.closed:
-            return super().status()
+    def _asked(self) -> tuple[str, str, int, int, int]:
+        """Return what the middleware knows; what cannot have changed is not queried again."""
+        if self.serves:
+            return super()._asked()
         with self._asking:
             peers = self._node.peers.on(self.dds_topic, "out" if self.direction == "in" else "in")
-            passed = self.sink.messages if self.sink is not None else 0
-            counts = self._messages, self._dropped, self._rejected, self._failed, self._unfit()
-            basis, known = (peers, self.strangers, passed, *counts), self._known
+            basis, known = (peers, self.strangers, self._rejected, self._unfit()), self._known
             if self.dirty or changed(self.changing) or known is None or known[0] != basis:
                 self._known, self.dirty = None, False
-                found = super().status()
+                found = super()._asked()
                 # A problem has words that depend on more, and one that settles on time.
-                if not found.code and not (found.reason and peers):
+                if not found[0] and not (found[1] and peers):
                     self._known = basis, found
                 return found
             return known[1]
