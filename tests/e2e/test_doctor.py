@@ -198,7 +198,7 @@ def test_an_older_configuration_runs(
     newer = config(TOPICS.replace("Int32", "Int64", 1), name="newer.yaml")
     (finding,) = doctor(newer)["DOC602"]
     assert finding["level"] == "error" and "/in" in finding["seen"]
-    assert f"{INT} running, {LONG} configured" in finding["seen"]
+    assert f"type {INT} instead of {LONG}" in finding["seen"]
 
 
 @pytest.mark.foreign
