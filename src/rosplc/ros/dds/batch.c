@@ -234,6 +234,19 @@ static int inlet_pass(InletObject *self, intptr_t key)
     return mine;
 }
 
+/* A new list of numbers; NULL with an exception. */
+static PyObject *numbers(const intptr_t *values, Py_ssize_t count)
+{
+    PyObject *list = PyList_New(0);
+    for (Py_ssize_t i = 0; list && i < count; i++) {
+        PyObject *value = PyLong_FromSsize_t(values[i]);
+        if (!value || PyList_Append(list, value))
+            Py_CLEAR(list);
+        Py_XDECREF(value);
+    }
+    return list;
+}
+
 /* The messages that no sink took, as a list; their references are given up. NULL with an exception. */
 static PyObject *inlet_left(InletObject *self)
 {
@@ -294,13 +307,7 @@ static PyObject *inlet_wait(InletObject *self, PyObject *args)
     }
     Py_END_ALLOW_THREADS;
     messages = inlet_left(self);
-    keys = PyList_New(0);
-    for (int i = 0; keys && i < others; i++) {
-        PyObject *key = PyLong_FromSsize_t(self->keys[i]);
-        if (!key || PyList_Append(keys, key))
-            Py_CLEAR(keys);
-        Py_XDECREF(key);
-    }
+    keys = numbers(self->keys, others);
     self->waits = 0;
     if (!keys || !messages) {
         Py_XDECREF(keys);
@@ -414,7 +421,8 @@ static int exec_module(PyObject *module)
 static PyObject *batch_changed(PyObject *module, PyObject *args)
 {
     Py_buffer pairs;
-    Py_ssize_t count, found = 0, *places;
+    Py_ssize_t count, found = 0;
+    intptr_t *places;
     PyObject *list;
     (void)module;
     if (!PyArg_ParseTuple(args, "y*:changed", &pairs))
@@ -435,13 +443,7 @@ static PyObject *batch_changed(PyObject *module, PyObject *args)
     }
     Py_END_ALLOW_THREADS;
     PyBuffer_Release(&pairs);
-    list = PyList_New(0);
-    for (Py_ssize_t i = 0; list && i < found; i++) {
-        PyObject *place = PyLong_FromSsize_t(places[i]);
-        if (!place || PyList_Append(list, place))
-            Py_CLEAR(list);
-        Py_XDECREF(place);
-    }
+    list = numbers(places, found);
     PyMem_Free(places);
     return list;
 }
