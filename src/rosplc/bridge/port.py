@@ -103,7 +103,7 @@ class Notes:
 
     def concerns(self, endpoints: Collection[Any]) -> bool:
         """Return whether the endpoint is one of these."""
-        return bool(endpoints) and self._endpoint in endpoints
+        return self._endpoint in endpoints
 
     def noted(self, now_ns: int, endpoint: EndpointStatus | None) -> dict[str, Any]:
         """Return the status fields for problems: those noted here, otherwise the endpoint's."""

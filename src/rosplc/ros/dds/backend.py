@@ -496,7 +496,7 @@ class DdsBackend(BaseNode):
 
     # -- what is wrong
 
-    def changed(self) -> frozenset[Endpoint]:
+    def changed(self) -> set[Endpoint]:
         """Return the endpoints whose state may have changed since this was last called."""
         with self._lock:
             reviewed, self._reviewed = self._reviewed, set()
@@ -507,7 +507,9 @@ class DdsBackend(BaseNode):
             news = {endpoints[place] for place in changed(pairs)}
             for endpoint in news:
                 endpoint.dirty = True
-            return frozenset(news.union(one for one in endpoints if reviewed and one.dds_topic in reviewed))
+            if reviewed:
+                news.update(one for one in endpoints if one.dds_topic in reviewed)
+            return news
 
     def _tick(self, now: int) -> None:
         with self._lock:
