@@ -549,4 +549,4 @@ def test_a_quiet_topic_is_looked_at_every_fifth_time(cell: Cell, monkeypatch: py
     repeat_until(lambda: (plc.reader.beat(), clock.step(0.5)), lambda: into.port.peer_alive)
     assert not into.still
     assert bridge.status() == bridge.status()
-    assert not into.still  # whoever looks beside the reporter takes no change from it
+    assert not into.still  # a look beside the reporter takes no change from it
